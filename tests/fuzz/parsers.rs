@@ -19,6 +19,7 @@ use realitysim::evaluation::reference::Reference;
 use realitysim::evaluation::suite::Suite;
 use realitysim::geometry::{Euler, Field, Isometry, Lens, LensModel, LensParameters};
 use realitysim::localization::Rejection;
+use realitysim::log_input::foxglove::FoxgloveType;
 use realitysim::log_input::synchroniser::Synchroniser;
 use realitysim::log_input::{decode, measurement};
 use realitysim::recording::{missing_parts, read_info};
@@ -32,10 +33,11 @@ use realitysim::tagging::{Checkpoint, Tagger};
 
 pub type Target = (&'static str, fn(&[u8]));
 
-pub const TARGETS: [Target; 12] = [
+pub const TARGETS: [Target; 13] = [
     ("mcap", mcap),
     ("cdr", cdr),
     ("image", image),
+    ("foxglove", foxglove),
     ("mavlink", mavlink),
     ("lens", lens),
     ("field", field),
@@ -101,6 +103,23 @@ fn message<M: Message>(data: &[u8], topic: &str) {
     }
 }
 
+/// A message of Foxglove's schemas: the first byte says of which type.
+pub fn foxglove(bytes: &[u8]) {
+    let Some((which, data)) = bytes.split_first() else { return };
+    let kind = FoxgloveType::ALL[usize::from(*which) % FoxgloveType::ALL.len()];
+    let Ok(cdr) = kind.to_ros2(data.to_vec()) else { return };
+    let whole = match kind {
+        FoxgloveType::CompressedImage => CompressedImage::decode(&cdr).is_ok(),
+        FoxgloveType::RawImage => Image::decode(&cdr).is_ok(),
+        FoxgloveType::CameraCalibration => CameraInfo::decode(&cdr).is_ok(),
+        FoxgloveType::FrameTransform | FoxgloveType::FrameTransforms => TFMessage::decode(&cdr).is_ok(),
+        FoxgloveType::PoseInFrame => PoseStamped::decode(&cdr).is_ok(),
+        FoxgloveType::Odometry => Odometry::decode(&cdr).is_ok(),
+        FoxgloveType::JointStates => JointState::decode(&cdr).is_ok(),
+    };
+    assert!(whole, "{kind:?} is not read as {}", kind.ros2_name());
+}
+
 /// JPEG or PNG, and the pixels of a message that no codec has touched.
 pub fn image(bytes: &[u8]) {
     let is_small = |bytes: &[u8]| size_within(bytes, 512);
@@ -110,13 +129,13 @@ pub fn image(bytes: &[u8]) {
         assert_eq!(picture.luma.len(), picture.width * picture.height);
     }
     let Some(([which, width, height, step], data)) = bytes.split_first_chunk::<4>() else { return };
-    let encodings = ["mono8", "rgb8", "bgr8", "yuv422_yuy2", "bayer_rggb8", "8UC1", "16UC1"];
+    let encodings: Vec<&str> = decode::encodings().chain(["16UC3"]).collect();
     let view = ImageView {
         header: Default::default(),
         height: u32::from(*height),
         width: u32::from(*width),
         encoding: encodings[usize::from(*which) % encodings.len()],
-        is_bigendian: 0,
+        is_bigendian: which / 128,
         step: u32::from(*step),
         data,
     };

@@ -8,6 +8,8 @@ use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 use realitysim::config::{Settings, field_names, lens_names, load_field, load_lens};
 use realitysim::database::{Catalogue, Record, Source, SourceKind, TagLimits, write_index};
 use realitysim::geometry::{Euler, Field, Isometry, Pose2};
+use realitysim::log_input::decode;
+use realitysim::log_input::foxglove::FoxgloveType;
 use realitysim::log_input::synchroniser::InitialPose;
 use realitysim::recording::{Counts, ManifestLine, PoseBox, SessionInfo};
 use realitysim::ros2::Selection;
@@ -36,6 +38,7 @@ fn the_inputs_to_begin_from_are_written_anew() {
     logs();
     texts();
     images();
+    foxglove();
     keep("mavlink", "sound-stream", mavlink_stream(50));
     keep("mavlink", "sound-one-byte-reads", mavlink_stream(1));
     keep("mavlink", "sound-interrupted", [&mavlink_stream(7)[..200], &mavlink_stream(7)[215..]].concat());
@@ -122,8 +125,43 @@ fn images() {
         image::ImageEncoder::write_image(encoder, data, 24, 16, colour).unwrap();
         keep("image", &format!("sound-png-{name}"), bytes);
     }
-    for encoding in 0..5 {
-        keep("image", &format!("sound-raw-{encoding}"), [&[encoding, 5, 4, 15][..], &rgb[..60]].concat());
+    for encoding in 0..decode::encodings().len() as u8 {
+        keep("image", &format!("sound-raw-{encoding}"), [&[encoding, 6, 4, 24][..], &rgb[..144]].concat());
+    }
+}
+
+/// A message of every type, with each field that has a length or is a number of 64 bits.
+fn foxglove() {
+    let field = |number: u8, content: &[u8]| [&[number << 3 | 2, content.len() as u8][..], content].concat();
+    let double = |number: u8, value: f64| [&[number << 3 | 1][..], &value.to_le_bytes()].concat();
+    let fixed32 = |number: u8, value: u32| [&[number << 3 | 5][..], &value.to_le_bytes()].concat();
+    let doubles = |count: usize| 0.25_f64.to_le_bytes().repeat(count);
+    let time = field(1, &[8, 12, 16, 89]);
+    let vector = [double(1, 1.0), double(2, -0.5), double(3, 0.25)].concat();
+    let rotation = double(4, 1.0);
+    let pose = [field(1, &vector), field(2, &rotation)].concat();
+    let transform =
+        [time.clone(), field(2, b"base_link"), field(3, b"camera_link"), field(4, &vector), field(5, &rotation)]
+            .concat();
+    // 36 doubles are longer than one byte of length can say.
+    let covariance = |number: u8| [&[number << 3 | 2, 0xa0, 2][..], &doubles(36)].concat();
+    let size = [fixed32(2, 2), fixed32(3, 1)].concat();
+    let messages = [
+        [time.clone(), field(2, b"\xff\xd8"), field(3, b"jpeg"), field(4, b"eye")].concat(),
+        [time.clone(), size.clone(), field(4, b"rgb8"), fixed32(5, 6), field(6, b"pixels"), field(7, b"eye")].concat(),
+        [time.clone(), size, field(4, b"equidistant"), field(5, &doubles(4)), field(6, &doubles(9)), field(9, b"eye")]
+            .concat(),
+        transform.clone(),
+        field(1, &transform),
+        [time.clone(), field(2, b"map"), field(3, &pose)].concat(),
+        [time.clone(), field(2, b"odom"), field(3, b"base"), field(4, &pose), field(5, &vector), covariance(7)]
+            .concat(),
+        [time, field(2, &[field(1, b"head_pan"), double(2, 0.5)].concat())].concat(),
+    ];
+    for ((which, kind), message) in FoxgloveType::ALL.iter().enumerate().zip(messages) {
+        let name = kind.name().trim_start_matches("foxglove.");
+        assert!(kind.to_ros2(message.clone()).is_ok(), "{name}");
+        keep("foxglove", &format!("sound-{name}"), [&[which as u8][..], &message].concat());
     }
 }
 

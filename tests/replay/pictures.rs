@@ -3,10 +3,11 @@
 use std::io::Cursor;
 
 use image::{ImageFormat, RgbImage};
+use realitysim::log_input::decode;
 use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::{CompressedImage, Header, Image, Message};
 
-use super::support::{IMAGE, Replayed, Room, farthest_apart, message, on, walk};
+use super::support::{IMAGE, Replayed, Room, assert_same, changed, farthest_apart, message, on, walk};
 
 struct Frame {
     header: Header,
@@ -25,7 +26,7 @@ fn frames() -> Vec<Frame> {
 }
 
 /// The walk with its frames written otherwise, in their old places.
-fn with_frames<M: Message>(topic: &str, make: impl Fn(Header, &RgbImage) -> M) -> Vec<LogMessage> {
+fn with_frames<M: Message>(topic: &str, mut make: impl FnMut(Header, &RgbImage) -> M) -> Vec<LogMessage> {
     let mut frames = frames().into_iter();
     let mut messages = walk().messages.clone();
     for old in messages.iter_mut().filter(|message| message.channel.topic == IMAGE) {
@@ -84,7 +85,12 @@ fn raw_colour_frames_are_read() {
         raw(header, pixels, "bgr8", 3, data)
     });
     let bgr = assert_as_good(&bgr, "bgr8", 0.15);
-    super::support::assert_same(&bgr.tags, &rgb.tags, "the same colours in another order");
+    assert_same(&bgr.tags, &rgb.tags, "the same colours in another order");
+    let bgra = with_frames("/camera/image_raw", |header, pixels| {
+        let data = pixels.pixels().flat_map(|p| [p[2], p[1], p[0], 77]).collect();
+        raw(header, pixels, "bgra8", 4, data)
+    });
+    assert_same(&Room::with_log(&bgra).replay("log.mcap").tags, &rgb.tags, "with transparency");
 }
 
 #[test]
@@ -93,7 +99,12 @@ fn raw_gray_frames_are_read() {
         let data = pixels.pixels().map(|pixel| luma(pixel).round() as u8).collect();
         raw(header, pixels, "mono8", 1, data)
     });
-    assert_as_good(&messages, "mono8", 0.2);
+    let gray = assert_as_good(&messages, "mono8", 0.2);
+    let wide = with_frames("/camera/image_raw", |header, pixels| {
+        let data = pixels.pixels().flat_map(|pixel| [luma(pixel).round() as u8, 77]).collect();
+        Image { is_bigendian: 1, ..raw(header, pixels, "mono16", 2, data) }
+    });
+    assert_same(&Room::with_log(&wide).replay("log.mcap").tags, &gray.tags, "16 bits");
 }
 
 #[test]
@@ -112,7 +123,25 @@ fn raw_yuyv_frames_are_read() {
             .collect();
         raw(header, pixels, "yuv422_yuy2", 2, data)
     });
-    assert_as_good(&messages, "yuv422_yuy2", 0.2);
+    let yuyv = assert_as_good(&messages, "yuv422_yuy2", 0.2);
+    let uyvy = changed::<Image>(&messages, "/camera/image_raw", |image| {
+        image.encoding = "uyvy".into();
+        image.data.chunks_exact_mut(2).for_each(|pair| pair.swap(0, 1));
+    });
+    assert_same(&Room::with_log(&uyvy).replay("log.mcap").tags, &yuyv.tags, "uyvy");
+}
+
+/// The pixels of the walk's JPEGs, as a decoder has them before it makes colours of them.
+#[test]
+fn two_planes_are_read_as_the_same_picture() {
+    let mut jpegs = on(&walk().messages, IMAGE).map(|message| decode::picture(message).unwrap());
+    let messages = with_frames("/camera/image_raw", |header, pixels| {
+        let picture = jpegs.next().unwrap();
+        let pairs = picture.chroma.blue.iter().zip(&picture.chroma.red).flat_map(|(blue, red)| [*blue, *red]);
+        let data = picture.luma.iter().copied().chain(pairs).collect();
+        raw(header, pixels, "nv12", 1, data)
+    });
+    assert_same(&Room::with_log(&messages).replay("log.mcap").tags, &walk().tags, "nv12");
 }
 
 #[test]

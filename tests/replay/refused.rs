@@ -26,12 +26,15 @@ fn a_file_that_is_no_log_is_told_by_what_it_is() {
     room.write("text.mcap", "a text, not a log\n");
     room.write("empty.mcap", "");
     room.write("bag.db3", b"SQLite format 3\0and so on");
+    fs::create_dir(room.path("bag")).unwrap();
+    room.write("bag/bag_0.db3", b"SQLite format 3\0and so on");
     for (source, words) in [
         ("missing.mcap", vec!["missing.mcap", "there is no such file"]),
         ("folder", vec!["folder", "no .mcap file", "capture"]),
         ("text.mcap", vec!["text.mcap", "an MCAP log is needed, and this file is a text"]),
         ("empty.mcap", vec!["empty.mcap", "an empty file"]),
         ("bag.db3", vec!["bag.db3", "SQLite", "rosbags-convert"]),
+        ("bag", vec!["bag/bag_0.db3", "SQLite", "rosbags-convert"]),
         ("missing.toml", vec!["missing.toml", "there is no such file"]),
     ] {
         room.run(&format!("replay {source} -o captures")).fails(1, &words);

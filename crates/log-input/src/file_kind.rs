@@ -23,7 +23,8 @@ const KINDS: [(usize, &[u8], &str, &str); 19] = [
         0,
         b"SQLite format 3",
         "an SQLite database, as rosbag2 wrote them (.db3)",
-        "convert it: pip install rosbags && rosbags-convert --src BAG --dst NEW --dst-storage mcap",
+        "convert it (BAG is this file, or its folder if that has several): pip install rosbags && \
+         rosbags-convert --src BAG --dst NEW --dst-storage mcap",
     ),
     (
         0,

@@ -24,9 +24,11 @@
 
 mod body_mask;
 mod camera_twist;
+mod conversion;
 pub mod decode;
 pub mod encode;
 pub mod file_kind;
+pub mod foxglove;
 mod frames;
 pub mod history;
 mod input_source;

@@ -3,11 +3,13 @@
 use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use thiserror::Error;
 
+use super::conversion::{MessageConverter, ros2_type_name};
 use super::file_kind::{FileKind, START_BYTES};
-use super::topic_resolution::TopicTypes;
+use super::topic_resolution::{FOXGLOVE_PACKAGE, TopicTypes};
 use realitysim_config::plain_file;
 use realitysim_ros2::mcap_read::{
     Damage, LogMessage, LogReader, ReadError, Selection, Survey, attachments, examine, survey,
@@ -81,6 +83,9 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, LogError> {
     }
     let mut files = segments_in(path).map_err(failed)?;
     if files.is_empty() {
+        if let Some(bag) = sqlite_bag_in(path).map_err(failed)? {
+            return Err(LogError::NoLog { kind: FileKind::of(&read_start(&bag)?), path: bag });
+        }
         let folders = std::fs::read_dir(path).map_err(failed)?.flatten().map(|entry| entry.path());
         let holds_logs = |folder: &PathBuf| segments_in(folder).is_ok_and(|files| !files.is_empty());
         let mut within: Vec<PathBuf> = folders.filter(holds_logs).collect();
@@ -110,13 +115,34 @@ fn segments_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
+/// Returns a file of a bag that rosbag2 wrote as an SQLite database, the first by name.
+fn sqlite_bag_in(folder: &Path) -> io::Result<Option<PathBuf>> {
+    let files = std::fs::read_dir(folder)?.map(|entry| entry.map(|entry| entry.path()));
+    let files = files.collect::<io::Result<Vec<_>>>()?;
+    Ok(files.into_iter().filter(|file| file.extension().is_some_and(|ending| ending == "db3")).min())
+}
+
 /// Iterator over the messages of several MCAP files, one file after the other.
+///
+/// Messages of Foxglove's schemas come as the ROS 2 messages that say the same ([`foxglove`](crate::foxglove)), and types as
+/// rosbag2 spells them. A message of Foxglove's that cannot be converted is left out and counts as damage.
 pub struct LogSource {
     files: std::vec::IntoIter<PathBuf>,
-    open: Option<(PathBuf, LogReader<BufReader<File>>)>,
+    open: Option<OpenFile>,
     selection: Selection,
     with_outputs: bool,
     damage: Vec<(PathBuf, Damage)>,
+}
+
+/// A file that is being read.
+struct OpenFile {
+    path: PathBuf,
+    reader: LogReader<BufReader<File>>,
+    converter: MessageConverter,
+    /// Whether the bytes of the last message are not those of the file.
+    is_converted: bool,
+    /// Messages that could not be converted, and were left out.
+    unconverted: Damage,
 }
 
 impl LogSource {
@@ -135,16 +161,21 @@ impl LogSource {
         &self.damage
     }
 
-    /// Returns the file of the last message, and the offset in bytes where its data begin; `None` if they are compressed.
+    /// Returns the file of the last message, and the offset in bytes where its data begin; `None` if they are compressed or were
+    /// converted.
     pub fn place(&self) -> Option<(&Path, u64)> {
-        let (path, reader) = self.open.as_ref()?;
-        Some((path, reader.place()?))
+        let open = self.open.as_ref().filter(|open| !open.is_converted)?;
+        Some((&open.path, open.reader.place()?))
     }
 
     fn close(&mut self) {
-        let Some((path, reader)) = self.open.take() else { return };
-        if !reader.damage().is_none() {
-            self.damage.push((path, reader.damage().clone()));
+        let Some(OpenFile { path, reader, unconverted, .. }) = self.open.take() else { return };
+        let mut damage = reader.damage().clone();
+        damage.bad_records += unconverted.bad_records;
+        damage.bytes_skipped += unconverted.bytes_skipped;
+        damage.first_error = damage.first_error.or(unconverted.first_error);
+        if !damage.is_none() {
+            self.damage.push((path, damage));
         }
     }
 }
@@ -157,7 +188,11 @@ impl Iterator for LogSource {
             if self.open.is_none() {
                 let path = self.files.next()?;
                 match open(&path, self.selection.clone()) {
-                    Ok(reader) => self.open = Some((path, reader)),
+                    Ok(reader) => {
+                        let converter = MessageConverter::default();
+                        let unconverted = Damage::default();
+                        self.open = Some(OpenFile { path, reader, converter, is_converted: false, unconverted });
+                    }
                     Err(error) => match unwritten_segment(&error) {
                         Some(damage) => self.damage.push((path, damage)),
                         None => return Some(Err(with_file_kind(error))),
@@ -165,12 +200,27 @@ impl Iterator for LogSource {
                 }
                 continue;
             }
-            let (path, reader) = self.open.as_mut()?;
-            match reader.next() {
+            let open = self.open.as_mut()?;
+            match open.reader.next() {
                 Some(Ok(message)) if !self.with_outputs && is_output(&message) => {}
-                Some(Ok(message)) => return Some(Ok(message)),
+                Some(Ok(message)) => {
+                    let (channel, time_ns) = (Arc::clone(&message.channel), message.log_time_ns);
+                    let bytes = message.data.len() as u64;
+                    match open.converter.convert(message) {
+                        Ok((message, is_converted)) => {
+                            open.is_converted = is_converted;
+                            return Some(Ok(message));
+                        }
+                        Err(error) => {
+                            open.unconverted.bad_records += 1;
+                            open.unconverted.bytes_skipped += bytes;
+                            let what = || format!("{}, logged at {time_ns} ns: {error}", channel.topic);
+                            open.unconverted.first_error.get_or_insert_with(what);
+                        }
+                    }
+                }
                 Some(Err(source)) => {
-                    let error = LogError::Read { path: path.clone(), source };
+                    let error = LogError::Read { path: open.path.clone(), source };
                     self.close();
                     return Some(Err(error));
                 }
@@ -251,12 +301,19 @@ fn read_start(path: &Path) -> Result<Vec<u8>, LogError> {
     read.map(|_| start).map_err(|source| LogError::Open { path: path.to_owned(), source })
 }
 
-/// Collects the topics that have at least one message, with their types.
+/// Collects the topics that have at least one message, with their types as [`LogSource`] gives them.
+///
+/// A type of Foxglove's schemas that is not read has its encoding behind it, for
+/// [`TopicError`](super::topic_resolution::TopicError).
 pub fn topic_types(surveys: &[Survey]) -> TopicTypes {
     let mut types = TopicTypes::new();
     for topic in surveys.iter().flat_map(|survey| &survey.topics) {
         if topic.messages > 0 {
-            types.entry(topic.topic.clone()).or_default().insert(topic.type_name.clone());
+            let mut type_name = ros2_type_name(&topic.type_name, &topic.message_encoding).into_owned();
+            if type_name.starts_with(FOXGLOVE_PACKAGE) {
+                type_name = format!("{type_name} in {}", topic.message_encoding);
+            }
+            types.entry(topic.topic.clone()).or_default().insert(type_name);
         }
     }
     types

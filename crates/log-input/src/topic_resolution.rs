@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use thiserror::Error;
 
+use super::foxglove::FoxgloveType;
 use realitysim_config::{MotionSource, Settings, Topics};
 
 /// For each topic that a log has messages of, the names of their types: mostly one.
@@ -13,7 +14,7 @@ pub type TopicTypes = BTreeMap<String, BTreeSet<String>>;
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum TopicError {
     /// The topic of a measurement is missing, and not exactly one other has the right type.
-    #[error("no {what} on {wanted}: {}", hint(types, candidates, key))]
+    #[error("no {what} on {wanted}: {}{}", hint(types, candidates, key), hint_of_unread(unread))]
     Missing {
         /// The measurement, in words.
         what: &'static str,
@@ -25,6 +26,8 @@ pub enum TopicError {
         candidates: Vec<String>,
         /// The key under `topics` in the settings that chooses one.
         key: &'static str,
+        /// The topics of the log with Foxglove's messages in a form that is not read, each with its type.
+        unread: Vec<String>,
     },
     /// The log has no odometry, and the settings do not say that it goes without.
     #[error(
@@ -43,6 +46,27 @@ fn hint(types: &str, candidates: &[String], key: &str) -> String {
         [] => format!("the log has no topic of type {types}"),
         _ => format!("choose one with topics.{key}: {}", candidates.join(", ")),
     }
+}
+
+/// Begin of the names of Foxglove's types.
+pub(crate) const FOXGLOVE_PACKAGE: &str = "foxglove.";
+/// Largest number of topics that an error lists as not read.
+const MAX_UNREAD: usize = 5;
+
+/// Returns the topics with Foxglove's messages that are not read, as `TOPIC (TYPE in ENCODING)`.
+fn unread(log: &TopicTypes) -> Vec<String> {
+    let all = log.iter().flat_map(|(topic, kinds)| kinds.iter().map(move |kind| (topic, kind)));
+    let unread = all.filter(|(_, kind)| kind.starts_with(FOXGLOVE_PACKAGE));
+    unread.map(|(topic, kind)| format!("{topic} ({kind})")).take(MAX_UNREAD).collect()
+}
+
+/// Says what of a log is not read, and what would be.
+fn hint_of_unread(unread: &[String]) -> String {
+    if unread.is_empty() {
+        return String::new();
+    }
+    let names = FoxgloveType::ALL.map(FoxgloveType::name).join(", ");
+    format!("; not read are {}: of Foxglove's messages, these are read, in protobuf: {names}", unread.join(", "))
 }
 
 const TRANSFORMS: [&str; 1] = ["tf2_msgs/msg/TFMessage"];
@@ -65,6 +89,7 @@ pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> R
                 types: "sensor_msgs/msg/CameraInfo (or give a lens file with camera.lens)",
                 candidates,
                 key: "camera_info",
+                unread: unread(log),
             });
         }
     }
@@ -81,6 +106,7 @@ pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> R
                 types: TRANSFORMS[0],
                 candidates,
                 key: "tf_static",
+                unread: unread(log),
             });
         }
     }
@@ -100,6 +126,7 @@ pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> R
                 types: "nav_msgs/msg/Odometry",
                 candidates,
                 key: "odometry",
+                unread: unread(log),
             });
         }
     }
@@ -114,6 +141,7 @@ pub fn image(wanted: &str, log: &TopicTypes) -> Result<String, TopicError> {
         types: "sensor_msgs/msg/CompressedImage or Image",
         candidates,
         key: "image",
+        unread: unread(log),
     })
 }
 
@@ -149,6 +177,15 @@ mod tests {
     fn the_only_topic_of_a_type_is_taken() {
         let topics = resolve(&Settings::default(), &log(&WHOLE), false).expect("all there");
         assert_eq!((topics.image.as_str(), topics.odometry.as_str()), ("/cam/raw", "/walk"));
+    }
+
+    #[test]
+    fn messages_of_foxglove_in_json_are_told() {
+        let mut rest = log(&WHOLE[1..]);
+        rest.insert("/eye".into(), ["foxglove.CompressedImage in json".to_owned()].into());
+        let said = resolve(&Settings::default(), &rest, false).expect_err("JSON").to_string();
+        assert!(said.contains("not read are /eye (foxglove.CompressedImage in json)"), "{said}");
+        assert!(said.contains("in protobuf: foxglove.CompressedImage, foxglove.RawImage"), "{said}");
     }
 
     #[test]

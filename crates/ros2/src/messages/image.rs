@@ -29,7 +29,7 @@ wire_struct! {
         pub height: u32,
         /// Width, pixels.
         pub width: u32,
-        /// Pixel format: `rgb8`, `mono8`, `yuv422_yuy2`, ...
+        /// Pixel format: `rgb8`, `mono8`, `nv12`, ...
         pub encoding: String,
         /// Whether pixels of more than 8 bits are big-endian: 0 if not.
         pub is_bigendian: u8,
