@@ -56,6 +56,18 @@ fn hypot(a: &Exact, b: &Exact) -> Exact {
     (a * a + b * b).sqrt()
 }
 
+/// OpenCV's distortion with thin prism terms, of a point in the plane at distance 1.
+fn opencv(d: [f64; 12], a: Exact, b: Exact) -> (Exact, Exact) {
+    let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = d.map(exact);
+    let s = &a * &a + &b * &b;
+    let [one, two] = [1.0, 2.0].map(exact);
+    let above = &one + &s * (k1 + &s * (k2 + &s * k3));
+    let radial = above / (&one + &s * (k4 + &s * (k5 + &s * k6)));
+    let u = &a * &radial + &two * &p1 * &a * &b + &p2 * (&s + &two * &a * &a) + &s * (s1 + &s * s2);
+    let v = &b * &radial + &p1 * (&s + &two * &b * &b) + &two * &p2 * &a * &b + &s * (s3 + &s * s4);
+    (u, v)
+}
+
 /// Where the model's own formula draws a ray.
 fn drawn(lens: &Lens, ray: DVec3) -> [Exact; 2] {
     let [x, y, z] = ray.to_array().map(exact);
@@ -83,6 +95,21 @@ fn drawn(lens: &Lens, ray: DVec3) -> [Exact; 2] {
             let u = &a * &radial + &two * &p1 * &a * &b + &p2 * (&s + &two * &a * &a);
             let v = &b * &radial + &p1 * (&s + &two * &b * &b) + &two * &p2 * &a * &b;
             (u, v)
+        }
+        LensModel::RationalPolynomial { d: [k1, k2, p1, p2, k3, k4, k5, k6] } => {
+            opencv([k1, k2, p1, p2, k3, k4, k5, k6, 0.0, 0.0, 0.0, 0.0], x / &z, y / &z)
+        }
+        LensModel::ThinPrism { d } => opencv(d, x / &z, y / &z),
+        LensModel::DoubleSphere { xi, alpha } => {
+            let length = (&off_axis * &off_axis + &z * &z).sqrt();
+            let depth = exact(xi) * &length + &z;
+            let below = exact(alpha) * hypot(&off_axis, &depth) + (exact(1.0) - exact(alpha)) * &depth;
+            (x / &below, y / below)
+        }
+        LensModel::Eucm { alpha, beta } => {
+            let distance = (exact(beta) * &off_axis * &off_axis + &z * &z).sqrt();
+            let below = exact(alpha) * distance + (exact(1.0) - exact(alpha)) * &z;
+            (x / &below, y / below)
         }
     };
     [exact(p.cx) + exact(p.fx) * u, exact(p.cy) + exact(p.fy) * v]

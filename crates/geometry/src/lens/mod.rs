@@ -10,7 +10,7 @@ use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use pinhole::PlumbBob;
+use pinhole::Pinhole;
 pub use projector::Projector;
 use radial::Radial;
 
@@ -74,6 +74,53 @@ pub enum LensModel {
         /// Coefficients k1, k2, p1, p2, k3: k radial, p tangential.
         d: [f64; 5],
     },
+    /// Pinhole with OpenCV's rational distortion, ROS `rational_polynomial`.
+    RationalPolynomial {
+        /// Coefficients k1, k2, p1, p2, k3, k4, k5, k6: k4 to k6 stand in the denominator.
+        d: [f64; 8],
+    },
+    /// Pinhole with OpenCV's rational and thin prism distortion.
+    ThinPrism {
+        /// Coefficients of [`Self::RationalPolynomial`], then s1, s2, s3, s4.
+        d: [f64; 12],
+    },
+    /// Usenko, Demmel and Cremers 2018: r = sin theta / (alpha d + (1 - alpha) (xi + cos theta)), where
+    /// d^2 = sin^2 theta + (xi + cos theta)^2.
+    DoubleSphere {
+        /// Distance of the spheres' centres, -1 to 1.
+        xi: f64,
+        /// Blend from a pinhole (0) to an orthographic image (1) of the second sphere.
+        alpha: f64,
+    },
+    /// Enhanced unified camera model, Khomutenko, Garcia and Martinet 2016:
+    /// r = sin theta / (alpha d + (1 - alpha) cos theta), where d^2 = beta sin^2 theta + cos^2 theta.
+    Eucm {
+        /// Blend from a pinhole (0) to an orthographic image (1).
+        alpha: f64,
+        /// Shape of the surface, above 0; 1 is a sphere.
+        beta: f64,
+    },
+}
+
+impl LensModel {
+    /// The simplest pinhole model with the given coefficients in OpenCV's order, k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tau_x tau_y.
+    ///
+    /// Missing coefficients are 0. `None` if there are more than 14, or if the sensor is tilted (tau), which no model here has.
+    pub fn of_opencv(d: &[f64]) -> Option<Self> {
+        let mut all = [0.0; 14];
+        all.get_mut(..d.len())?.copy_from_slice(d);
+        let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau @ ..] = all;
+        if tau != [0.0; 2] {
+            return None;
+        }
+        Some(if [s1, s2, s3, s4] != [0.0; 4] {
+            Self::ThinPrism { d: [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] }
+        } else if [k4, k5, k6] != [0.0; 3] {
+            Self::RationalPolynomial { d: [k1, k2, p1, p2, k3, k4, k5, k6] }
+        } else {
+            Self::PlumbBob { d: [k1, k2, p1, p2, k3] }
+        })
+    }
 }
 
 impl LensParameters {
@@ -145,6 +192,16 @@ pub enum LensError {
         /// The refused value.
         value: f64,
     },
+    /// A coefficient is outside the range of its model.
+    #[error("{name} is {value}: it must be {expected}")]
+    Coefficient {
+        /// Name of the coefficient, such as `xi`.
+        name: &'static str,
+        /// The refused value.
+        value: f64,
+        /// Range that is possible.
+        expected: &'static str,
+    },
     /// The stated field of view is out of the model's range.
     #[error("field of view {fov_deg} deg: it must be above 0 and at most {max_deg} deg for this model")]
     Fov {
@@ -153,13 +210,13 @@ pub enum LensError {
         /// The largest field of view of the model, degrees.
         max_deg: f64,
     },
-    /// The distortion polynomial is not monotonic in the stated field of view.
+    /// The model is not monotonic in the stated field of view.
     #[error(
-        "the distortion polynomial turns back at {at_deg:.2} deg off the axis, inside the stated field of view of \
+        "the distortion turns back at {at_deg:.2} deg off the axis, inside the stated field of view of \
          {fov_deg} deg: check the coefficients, or state a field of view below {:.1} deg", 2.0 * at_deg
     )]
     NotMonotonic {
-        /// Angle off the axis at which the polynomial turns back, degrees.
+        /// Angle off the axis at which the model turns back, degrees.
         at_deg: f64,
         /// The stated full field of view, degrees.
         fov_deg: f64,
@@ -194,7 +251,7 @@ pub struct Lens {
 #[derive(Clone, Debug, PartialEq)]
 enum Curve {
     Radial(Radial),
-    PlumbBob(PlumbBob),
+    Pinhole(Pinhole),
 }
 
 impl Lens {
@@ -222,7 +279,13 @@ impl Lens {
         let curve = match p.model {
             LensModel::KannalaBrandt { k } => Curve::Radial(Radial::kannala_brandt(k, reach, p.fov_deg)?),
             LensModel::Equisolid => Curve::Radial(Radial::equisolid(reach, p.fov_deg)?),
-            LensModel::PlumbBob { d } => Curve::PlumbBob(PlumbBob::new(d, reach, p.fov_deg)?),
+            LensModel::PlumbBob { d } => Curve::Pinhole(Pinhole::plumb_bob(d, reach, p.fov_deg)?),
+            LensModel::RationalPolynomial { d } => Curve::Pinhole(Pinhole::rational(&d, reach, p.fov_deg)?),
+            LensModel::ThinPrism { d } => Curve::Pinhole(Pinhole::rational(&d, reach, p.fov_deg)?),
+            LensModel::DoubleSphere { xi, alpha } => {
+                Curve::Radial(Radial::double_sphere(xi, alpha, reach, p.fov_deg)?)
+            }
+            LensModel::Eucm { alpha, beta } => Curve::Radial(Radial::eucm(alpha, beta, reach, p.fov_deg)?),
         };
         Ok(Self { parameters, curve })
     }
@@ -242,16 +305,22 @@ impl Lens {
         self.parameters.height
     }
 
-    /// Focal length, the mean of fx and fy: pixels per radian on the axis.
+    /// Pixels per radian on the axis, the mean of both directions.
+    ///
+    /// That is the focal length (fx + fy) / 2, but for a double sphere lens, whose radius grows by 1 / (1 + xi) of it.
     pub fn focal(&self) -> f64 {
-        (self.parameters.fx + self.parameters.fy) / 2.0
+        let focal_px = (self.parameters.fx + self.parameters.fy) / 2.0;
+        match &self.curve {
+            Curve::Radial(radial) => focal_px * radial.slope_on_axis(),
+            Curve::Pinhole(_) => focal_px,
+        }
     }
 
     /// The largest angle off the axis that the lens sees, radians. A lens with more than pi/2 sees behind itself.
     pub fn max_angle(&self) -> f64 {
         match &self.curve {
             Curve::Radial(radial) => radial.max_angle(),
-            Curve::PlumbBob(pinhole) => pinhole.max_angle(),
+            Curve::Pinhole(pinhole) => pinhole.max_angle(),
         }
     }
 
@@ -261,7 +330,7 @@ impl Lens {
     pub fn project(&self, ray: DVec3) -> Option<DVec2> {
         let normalised = match &self.curve {
             Curve::Radial(radial) => radial.project(ray)?,
-            Curve::PlumbBob(pinhole) => pinhole.project(ray)?,
+            Curve::Pinhole(pinhole) => pinhole.project(ray)?,
         };
         let p = &self.parameters;
         Some(DVec2::new(p.cx + p.fx * normalised.x, p.cy + p.fy * normalised.y))
@@ -273,7 +342,7 @@ impl Lens {
         let normalised = DVec2::new((pixel.x - p.cx) / p.fx, (pixel.y - p.cy) / p.fy);
         match &self.curve {
             Curve::Radial(radial) => radial.unproject(normalised),
-            Curve::PlumbBob(pinhole) => pinhole.unproject(normalised),
+            Curve::Pinhole(pinhole) => pinhole.unproject(normalised),
         }
     }
 

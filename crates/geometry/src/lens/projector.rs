@@ -12,7 +12,8 @@ use super::{Curve, Lens};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Projector {
     lens: Lens,
-    /// r(theta) / sin(theta) at even steps of cos(theta) from `min_cos` up to 1. Empty for pinholes, which are cheap without a table.
+    /// r(theta) / sin(theta) at even steps of cos(theta) from `min_cos` up to 1. Empty for pinholes, which are cheap without a table,
+    /// and for models that are too steep for one.
     factors: Vec<f64>,
     /// cos(theta) of the first entry.
     min_cos: f64,
@@ -22,6 +23,8 @@ pub struct Projector {
 
 /// Number of entries of the table.
 const NODES: usize = 4096;
+/// Largest error of the table, in focal lengths: 1e-3 px at a focal length of 1000 px.
+const MAX_TABLE_ERROR: f64 = 1e-6;
 
 impl Projector {
     /// Tabulates the projection of a lens.
@@ -40,7 +43,22 @@ impl Projector {
                 radial.radius(angle) / libm::sin(angle)
             })
             .collect();
-        Self { min_cos, nodes_per_unit: 1.0 / step, factors, lens }
+        let can_be_steep = radial.can_be_steep();
+        let projector = Self { min_cos, nodes_per_unit: 1.0 / step, factors, lens };
+        if can_be_steep && !projector.is_fine_enough() {
+            return Self { factors: Vec::new(), ..projector };
+        }
+        projector
+    }
+
+    /// Whether the table is within [`MAX_TABLE_ERROR`] of the lens between all its entries.
+    fn is_fine_enough(&self) -> bool {
+        let Curve::Radial(radial) = &self.lens.curve else { return true };
+        self.factors.windows(2).enumerate().all(|(node, around)| {
+            let angle = libm::acos((self.min_cos + (node as f64 + 0.5) / self.nodes_per_unit).clamp(-1.0, 1.0));
+            let (sin, middle) = (libm::sin(angle), (around[0] + around[1]) / 2.0);
+            (middle * sin - radial.radius(angle)).abs() <= MAX_TABLE_ERROR
+        })
     }
 
     /// The lens that the table was made from.

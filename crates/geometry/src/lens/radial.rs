@@ -23,8 +23,16 @@ enum Profile {
     /// Coefficients k1 to k4.
     KannalaBrandt([f64; 4]),
     Equisolid,
+    /// Offset xi and blend alpha of Usenko et al. 2018.
+    DoubleSphere { xi: f64, alpha: f64 },
+    /// Blend alpha and shape beta of Khomutenko et al. 2016.
+    Eucm { alpha: f64, beta: f64 },
 }
 
+/// Largest magnitude of xi. At 1 the spheres touch, and all of the half space behind falls on one ray.
+const MAX_XI: f64 = 1.0 - 1e-6;
+/// Range of beta. Calibrations have 0.1 to 10; sums of a smaller or larger one lose digits.
+const BETA: core::ops::RangeInclusive<f64> = 1e-6..=1e6;
 /// Largest number of steps of one inversion. If every Newton step fell back to bisection, 64 steps would exhaust an f64.
 const MAX_STEPS: usize = 80;
 
@@ -58,6 +66,36 @@ impl Radial {
         Ok(Self::clipped_to_image(Profile::Equisolid, limit, reach))
     }
 
+    /// Makes a double sphere lens; `reach` as in [`Self::kannala_brandt`].
+    pub(super) fn double_sphere(xi: f64, alpha: f64, reach: f64, fov_deg: Option<f64>) -> Result<Self, LensError> {
+        check("xi", xi, -MAX_XI..=MAX_XI, "above -1 and below 1, within 1e-6")?;
+        check("alpha", alpha, 0.0..=1.0, "0 to 1")?;
+        let phi = last_sphere_angle(alpha);
+        Self::of_spheres(Profile::DoubleSphere { xi, alpha }, phi + libm::asin(xi * libm::sin(phi)), reach, fov_deg)
+    }
+
+    /// Makes a lens of the enhanced unified camera model; `reach` as in [`Self::kannala_brandt`].
+    pub(super) fn eucm(alpha: f64, beta: f64, reach: f64, fov_deg: Option<f64>) -> Result<Self, LensError> {
+        check("alpha", alpha, 0.0..=1.0, "0 to 1")?;
+        check("beta", beta, BETA, "1e-6 to 1e6")?;
+        let (sin, cos) = libm::sincos(last_sphere_angle(alpha));
+        let last = libm::atan2(sin / libm::sqrt(beta), cos);
+        Self::of_spheres(Profile::Eucm { alpha, beta }, last, reach, fov_deg)
+    }
+
+    /// Makes a lens that is monotonic up to `last`, radians.
+    fn of_spheres(profile: Profile, last: f64, reach: f64, fov_deg: Option<f64>) -> Result<Self, LensError> {
+        let stated = half_fov(fov_deg, 360.0)?;
+        // Ends just short of where the radius turns back or becomes infinite.
+        let last = last * (1.0 - 1e-6);
+        match (stated, fov_deg) {
+            (Some(half), Some(fov_deg)) if half > last => {
+                Err(LensError::NotMonotonic { at_deg: last.to_degrees(), fov_deg })
+            }
+            _ => Ok(Self::clipped_to_image(profile, stated.unwrap_or(last), reach)),
+        }
+    }
+
     /// Clips the largest angle to what the image can show.
     fn clipped_to_image(profile: Profile, limit: f64, reach: f64) -> Self {
         let full = Self { max_angle: limit, max_radius: radius(&profile, limit), profile };
@@ -75,6 +113,19 @@ impl Radial {
     /// Distance from the principal point of a ray at this angle in radians, in focal lengths.
     pub(super) fn radius(&self, angle: f64) -> f64 {
         radius(&self.profile, angle)
+    }
+
+    /// The derivative of the radius by the angle on the axis, in focal lengths per radian.
+    pub(super) fn slope_on_axis(&self) -> f64 {
+        match self.profile {
+            Profile::DoubleSphere { xi, .. } => 1.0 / (1.0 + xi),
+            Profile::KannalaBrandt(_) | Profile::Equisolid | Profile::Eucm { .. } => 1.0,
+        }
+    }
+
+    /// Whether the radius can grow without bound inside the model's range, which no table follows.
+    pub(super) fn can_be_steep(&self) -> bool {
+        matches!(self.profile, Profile::DoubleSphere { .. } | Profile::Eucm { .. })
     }
 
     /// Projects a ray to a point in focal lengths from the principal point.
@@ -109,6 +160,15 @@ impl Radial {
         }
         match &self.profile {
             Profile::Equisolid => Some((2.0 * libm::asin((r / 2.0).min(1.0))).min(self.max_angle)),
+            Profile::DoubleSphere { xi, alpha } => {
+                let phi = sphere_angle(*alpha, r);
+                Some((phi + libm::asin(xi * libm::sin(phi))).min(self.max_angle))
+            }
+            Profile::Eucm { alpha, beta } => {
+                let root = libm::sqrt(*beta);
+                let (sin, cos) = libm::sincos(sphere_angle(*alpha, r * root));
+                Some(libm::atan2(sin / root, cos).min(self.max_angle))
+            }
             Profile::KannalaBrandt(k) => {
                 let (mut low, mut high) = (0.0, self.max_angle);
                 let mut angle = r.min(high);
@@ -139,7 +199,42 @@ fn radius(profile: &Profile, angle: f64) -> f64 {
     match profile {
         Profile::KannalaBrandt(k) => kannala_brandt(k, angle).0,
         Profile::Equisolid => 2.0 * libm::sin(angle / 2.0),
+        Profile::DoubleSphere { xi, alpha } => {
+            let (sin, cos) = libm::sincos(angle);
+            let depth = xi + cos;
+            sin / (alpha * libm::hypot(sin, depth) + (1.0 - alpha) * depth)
+        }
+        Profile::Eucm { alpha, beta } => {
+            let (sin, cos) = libm::sincos(angle);
+            sin / (alpha * libm::hypot(libm::sqrt(*beta) * sin, cos) + (1.0 - alpha) * cos)
+        }
     }
+}
+
+/// The angle phi, seen from the centre of the last sphere, up to which r = sin phi / (alpha + (1 - alpha) cos phi) rises.
+///
+/// Double sphere and the enhanced unified model end with this projection. It turns back where cos phi = -(1 - alpha) / alpha, or
+/// becomes infinite where cos phi = -alpha / (1 - alpha), whichever is nearer.
+fn last_sphere_angle(alpha: f64) -> f64 {
+    let ratio = if alpha <= 0.5 { alpha / (1.0 - alpha) } else { (1.0 - alpha) / alpha };
+    libm::acos(-ratio)
+}
+
+/// Inverts r = sin phi / (alpha + (1 - alpha) cos phi) for phi; beyond the largest radius it gives the angle of the largest.
+///
+/// With t = tan(phi / 2) this is (2 alpha - 1) r t^2 - 2 t + r = 0, of which the smaller root is taken without cancellation.
+fn sphere_angle(alpha: f64, r: f64) -> f64 {
+    2.0 * libm::atan(r / (1.0 + libm::sqrt((1.0 - (2.0 * alpha - 1.0) * r * r).max(0.0))))
+}
+
+/// Checks a coefficient against its range.
+fn check(
+    name: &'static str,
+    value: f64,
+    range: core::ops::RangeInclusive<f64>,
+    expected: &'static str,
+) -> Result<(), LensError> {
+    if range.contains(&value) { Ok(()) } else { Err(LensError::Coefficient { name, value, expected }) }
 }
 
 /// The radius of the Kannala-Brandt polynomial, and its derivative by the angle.
