@@ -41,7 +41,7 @@ fn lens(model: LensModel, focal: f64, fov_deg: Option<f64>) -> Lens {
     Lens::new(parameters).expect("a good lens")
 }
 
-fn lenses() -> [(&'static str, Lens); 3] {
+fn lenses() -> [(&'static str, Lens); 5] {
     [
         ("fisheye", lens(LensModel::KannalaBrandt { k: [-0.012, 0.003, -0.0008, 0.0] }, 205.0, Some(200.0))),
         ("equisolid", lens(LensModel::Equisolid, 214.0, Some(190.0))),

@@ -152,6 +152,35 @@ impl LensParameters {
     }
 }
 
+impl LensParameters {
+    /// The same lens for its images scaled to `[width, height]` pixels; `None` if the aspect ratio is another.
+    ///
+    /// It is the same if the factor of one side gives the other within a pixel.
+    pub fn scaled_to(&self, [width, height]: [u32; 2]) -> Option<Self> {
+        let off = |side: u32, own: u32, other: u32, other_own: u32| {
+            (f64::from(other) - f64::from(other_own) * f64::from(side) / f64::from(own)).abs()
+        };
+        let nearest =
+            off(width, self.width, height, self.height).min(off(height, self.height, width, self.width));
+        (nearest <= 1.0).then(|| self.resized([Some(width), Some(height)]))
+    }
+
+    /// The lens of a part of its images that begins at `offset` (column, row) and has the size `[width, height]`, pixels.
+    pub fn cropped(&self, offset: [u32; 2], [width, height]: [u32; 2]) -> Self {
+        let [cx, cy] = [self.cx - f64::from(offset[0]), self.cy - f64::from(offset[1])];
+        Self { width, height, cx, cy, ..self.clone() }
+    }
+
+    /// The lens of images whose pixels are made of `factors[0]` by `factors[1]` of its own, at least 1 each.
+    ///
+    /// Columns and rows that do not fill a pixel are cut off. `None` if nothing is left.
+    pub fn binned(&self, factors: [u32; 2]) -> Option<Self> {
+        let [width, height] = [self.width.checked_div(factors[0])?, self.height.checked_div(factors[1])?];
+        let filled = [width.checked_mul(factors[0])?, height.checked_mul(factors[1])?];
+        (width > 0 && height > 0).then(|| self.cropped([0, 0], filled).resized([Some(width), Some(height)]))
+    }
+}
+
 /// Parameters that no lens can have.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum LensError {
