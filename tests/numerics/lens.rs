@@ -37,6 +37,7 @@ pub fn lenses() -> Vec<(String, Lens)> {
         ("rational, large terms", LensModel::RationalPolynomial { d: RATIONAL }, None),
         ("thin prism", LensModel::ThinPrism { d: THIN_PRISM }, None),
         ("double sphere, beyond 90 deg", LensModel::DoubleSphere { xi: -0.23, alpha: 0.59 }, Some(230.0)),
+        ("scaramuzza", LensModel::Scaramuzza { c: [-0.31, 0.05, -0.06, 0.01, 0.0], skew: 0.003 }, Some(200.0)),
         ("enhanced unified, beyond 90 deg", LensModel::Eucm { alpha: 0.62, beta: 1.1 }, Some(210.0)),
     ];
     for (name, model, fov_deg) in extremes {

@@ -111,6 +111,24 @@ fn drawn(lens: &Lens, ray: DVec3) -> [Exact; 2] {
             let below = exact(alpha) * distance + (exact(1.0) - exact(alpha)) * &z;
             (x / &below, y / below)
         }
+        LensModel::Scaramuzza { c, skew } => {
+            let angle = off_axis.atan2(&z);
+            // Newton's method on theta(r) = atan2(r, g(r)) doubles the digits that the lens has found.
+            let at = lens.project(ray).expect("drawn");
+            let (row, column) = ((at.y - p.cy) / p.fy, (at.x - p.cx) / p.fx);
+            let mut r = exact((column - skew * row).hypot(row));
+            for _ in 0..4 {
+                let [mut g, mut slope] = [exact(1.0), exact(0.0)];
+                for (i, c) in c.iter().enumerate() {
+                    g += exact(*c) * r.powi((i as i32 + 2).into());
+                    slope += exact(*c) * exact((i + 2) as f64) * r.powi((i as i32 + 1).into());
+                }
+                let miss = r.atan2(&g) - &angle;
+                r = &r - miss * (&r * &r + &g * &g) / (&g - &r * slope);
+            }
+            let (x, y) = (x * &r / &off_axis, y * &r / &off_axis);
+            (x + exact(skew) * &y, y)
+        }
     };
     [exact(p.cx) + exact(p.fx) * u, exact(p.cy) + exact(p.fy) * v]
 }

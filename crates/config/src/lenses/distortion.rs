@@ -24,10 +24,12 @@ impl DistortionKeys {
             }
             // Some drivers call OpenCV's fisheye by its name there.
             ("equidistant" | "fisheye", d) => self.equidistant(d),
-            // ROS has no name for these three: this program writes them (`CameraInfo::of_lens`).
+            // ROS has no name for these four: this program writes them (`CameraInfo::of_lens`).
             ("double_sphere", &[xi, alpha]) => Ok(LensModel::DoubleSphere { xi, alpha }),
             ("double_sphere", _) => Err(self.coefficient_error(d, "double_sphere takes 2: xi, alpha")),
             ("eucm", &[alpha, beta]) => Ok(LensModel::Eucm { alpha, beta }),
+            ("scaramuzza", &[c2, c3, c4, c5, c6, skew]) => Ok(LensModel::Scaramuzza { c: [c2, c3, c4, c5, c6], skew }),
+            ("scaramuzza", _) => Err(self.coefficient_error(d, "scaramuzza takes 6: c2 to c6, skew")),
             ("eucm", _) => Err(self.coefficient_error(d, "eucm takes 2: alpha, beta")),
             ("equisolid", []) => Ok(LensModel::Equisolid),
             ("equisolid", _) => Err(self.coefficient_error(d, "equisolid takes no coefficients")),

@@ -23,6 +23,8 @@ struct File {
     xi: Option<f64>,
     alpha: Option<f64>,
     beta: Option<f64>,
+    c: Option<Vec<f64>>,
+    skew: Option<f64>,
     fov_deg: Option<f64>,
 }
 
@@ -51,9 +53,10 @@ fn model(file: &File) -> Result<LensModel, LensFileError> {
         "equisolid" => &[],
         "double_sphere" => &["xi", "alpha"],
         "eucm" => &["alpha", "beta"],
+        "scaramuzza" => &["c", "skew"],
         other => {
             let expected = "it must be \"kannala_brandt\", \"equisolid\", \"plumb_bob\", \"rational_polynomial\", \
-                            \"thin_prism\", \"double_sphere\" or \"eucm\"";
+                            \"thin_prism\", \"double_sphere\", \"eucm\" or \"scaramuzza\"";
             return Err(LensFileError::value("model", format_args!("{other:?}"), expected));
         }
     };
@@ -77,6 +80,10 @@ fn model(file: &File) -> Result<LensModel, LensFileError> {
             Ok(LensModel::DoubleSphere { xi: take("xi", file.xi)?, alpha: take("alpha", file.alpha)? })
         }
         "eucm" => Ok(LensModel::Eucm { alpha: take("alpha", file.alpha)?, beta: take("beta", file.beta)? }),
+        "scaramuzza" => {
+            let c = take_coefficients("c", &file.c, "five numbers, c2 to c6")?;
+            Ok(LensModel::Scaramuzza { c, skew: take("skew", file.skew)? })
+        }
         _ => Ok(LensModel::Equisolid),
     }
 }
@@ -92,6 +99,8 @@ impl File {
             ("xi", number(self.xi)),
             ("alpha", number(self.alpha)),
             ("beta", number(self.beta)),
+            ("c", list(&self.c)),
+            ("skew", number(self.skew)),
         ];
         let wrong = given.into_iter().find_map(|(key, found)| found.filter(|_| !takes.contains(&key)).map(|found| (key, found)));
         let Some((key, found)) = wrong else { return Ok(()) };

@@ -100,6 +100,13 @@ pub enum LensModel {
         /// Shape of the surface, above 0; 1 is a sphere.
         beta: f64,
     },
+    /// Scaramuzza, Martinelli and Siegwart 2006 (OCamCalib): theta = atan2(r, 1 + c2 r^2 + c3 r^3 + c4 r^4 + c5 r^5 + c6 r^6).
+    Scaramuzza {
+        /// Coefficients c2 to c6.
+        c: [f64; 5],
+        /// What a point's row adds to its column, both in focal lengths: the skew of the camera's matrix over fx.
+        skew: f64,
+    },
 }
 
 impl LensModel {
@@ -315,6 +322,7 @@ impl Lens {
                 Curve::Radial(Radial::double_sphere(xi, alpha, reach, p.fov_deg)?)
             }
             LensModel::Eucm { alpha, beta } => Curve::Radial(Radial::eucm(alpha, beta, reach, p.fov_deg)?),
+            LensModel::Scaramuzza { c, skew } => Curve::Radial(Radial::scaramuzza(c, skew, reach, p.fov_deg)?),
         };
         Ok(Self { parameters, curve })
     }

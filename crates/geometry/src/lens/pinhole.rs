@@ -17,6 +17,8 @@ pub(super) struct Pinhole {
     distortion: Distortion,
     /// Largest undistorted radius, the tangent of the largest angle off the axis.
     max_radius: f64,
+    /// Whether it is known that no two points within `max_radius` are drawn at one.
+    is_one_to_one: bool,
 }
 
 /// The coefficients of the distortion; those that a model does not have are 0.
@@ -40,6 +42,8 @@ const MAX_COEFFICIENT: f64 = 1e9;
 const MAX_FOV_DEG: f64 = 179.0;
 /// Largest number of Newton steps of one inversion.
 const MAX_STEPS: usize = 50;
+/// Largest number of times that a Newton step is halved.
+const MAX_HALVINGS: usize = 40;
 /// Largest number of Newton and bisection steps of one inversion of the radial part.
 const MAX_RADIAL_STEPS: usize = 80;
 /// Largest distance of the distorted result from the requested point, in focal lengths: 1e-11 px at 1000 px.
@@ -54,7 +58,7 @@ impl Pinhole {
         let [_, _, p1, p2, _] = d;
         let slope = distortion.radial_slope();
         let limit = limit(fov_deg, |limit| polynomial::first_non_positive(&slope, limit * limit).map(libm::sqrt))?;
-        let mut lens = Self { distortion, max_radius: limit };
+        let mut lens = Self { distortion, max_radius: limit, is_one_to_one: false };
         // Up to the image's corner, with room for what the tangential terms add.
         if let Some(corner) = lens.undistorted_radius(reach * (1.0 + 4.0 * (p1.abs() + p2.abs()) * reach)) {
             lens.max_radius = corner;
@@ -75,7 +79,7 @@ impl Pinhole {
         let positive = distortion.stretch_bounds();
         let turn = |limit| positive.iter().filter_map(|p| polynomial::first_non_positive(p, limit)).reduce(f64::min);
         let limit = limit(fov_deg, turn)?;
-        let mut lens = Self { distortion, max_radius: limit };
+        let mut lens = Self { distortion, max_radius: limit, is_one_to_one: true };
         if let Some(corner) = lens.radius_that_covers(reach) {
             lens.max_radius = corner;
         }
@@ -116,11 +120,27 @@ impl Pinhole {
             if step.length() <= f64::EPSILON * point.length() {
                 break;
             }
-            point += step;
+            point += if self.is_one_to_one { self.shortened(point, step, target) } else { step };
         }
         let close = (self.distortion.apply(point).0 - target).length() <= 1e-10 * (1.0 + r);
         let inside = point.length() <= self.max_radius * (1.0 + 1e-9);
         (close && inside).then(|| DVec3::new(point.x, point.y, 1.0).normalize())
+    }
+
+    /// A step halved until it leads nearer to the target inside the lens; Newton's method then finds every point of a lens that is
+    /// one to one.
+    fn shortened(&self, point: DVec2, step: DVec2, target: DVec2) -> DVec2 {
+        let miss = |point: DVec2| (self.distortion.apply(point).0 - target).length();
+        let before = miss(point);
+        let mut step = step;
+        for _ in 0..MAX_HALVINGS {
+            let next = point + step;
+            if next.length() <= self.max_radius * (1.0 + 1e-9) && miss(next) < before {
+                break;
+            }
+            step *= 0.5;
+        }
+        step
     }
 
     /// Inverts the radial part alone, by Newton's method guarded by bisection; `None` beyond what the lens can draw.

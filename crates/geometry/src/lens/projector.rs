@@ -19,6 +19,8 @@ pub struct Projector {
     min_cos: f64,
     /// Number of entries for a step of 1 in cos(theta).
     nodes_per_unit: f64,
+    /// What a point's row adds to its column, both in focal lengths.
+    skew: f64,
 }
 
 /// Number of entries of the table.
@@ -31,7 +33,7 @@ impl Projector {
     pub fn new(lens: &Lens) -> Self {
         let lens = lens.clone();
         let Curve::Radial(radial) = &lens.curve else {
-            return Self { lens, factors: Vec::new(), min_cos: 1.0, nodes_per_unit: 0.0 };
+            return Self { lens, factors: Vec::new(), min_cos: 1.0, nodes_per_unit: 0.0, skew: 0.0 };
         };
         let max_angle = radial.max_angle();
         // The factor is infinite straight behind the lens: the last thousandth of a radian is left to the exact path.
@@ -43,8 +45,8 @@ impl Projector {
                 radial.radius(angle) / libm::sin(angle)
             })
             .collect();
-        let can_be_steep = radial.can_be_steep();
-        let projector = Self { min_cos, nodes_per_unit: 1.0 / step, factors, lens };
+        let (can_be_steep, skew) = (radial.can_be_steep(), radial.skew());
+        let projector = Self { min_cos, nodes_per_unit: 1.0 / step, factors, skew, lens };
         if can_be_steep && !projector.is_fine_enough() {
             return Self { factors: Vec::new(), ..projector };
         }
@@ -82,7 +84,8 @@ impl Projector {
         let (low, high) = (self.factors[node], self.factors[node + 1]);
         let factor = (low + (high - low) * (at - node as f64)) * inverse;
         let p = &self.lens.parameters;
-        Some(DVec2::new(p.cx + p.fx * ray.x * factor, p.cy + p.fy * ray.y * factor))
+        let x = if self.skew == 0.0 { ray.x } else { ray.x + self.skew * ray.y };
+        Some(DVec2::new(p.cx + p.fx * x * factor, p.cy + p.fy * ray.y * factor))
     }
 
     /// Projects `N` rays at a time like [`Self::project`], with the precision of f32.
@@ -123,6 +126,12 @@ impl Projector {
             pixels[0][i] = cx + fx * xs[i] * factor;
             pixels[1][i] = cy + fy * ys[i] * factor;
         }
+        if self.skew != 0.0 {
+            let skew = self.skew as f32;
+            for i in 0..N {
+                pixels[0][i] += fx * skew * ys[i] * (factors[i] * inverses[i]);
+            }
+        }
         pixels
     }
 
@@ -145,6 +154,9 @@ mod tests {
             (LensModel::KannalaBrandt { k: [-0.02, 0.004, -0.0015, 0.0002] }, Some(180.0)),
             (LensModel::Equisolid, Some(220.0)),
             (LensModel::PlumbBob { d: [-0.2, 0.05, 0.001, -0.001, 0.0] }, None),
+            (LensModel::DoubleSphere { xi: -0.2, alpha: 0.6 }, Some(210.0)),
+            (LensModel::Eucm { alpha: 0.62, beta: 1.1 }, Some(190.0)),
+            (LensModel::Scaramuzza { c: [-0.31, 0.05, -0.06, 0.0, 0.0], skew: 0.003 }, Some(200.0)),
         ] {
             let parameters = LensParameters {
                 width: 4000,

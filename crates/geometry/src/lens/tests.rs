@@ -25,6 +25,7 @@ fn lenses() -> Vec<Lens> {
         LensParameters { fx: 410.0, fy: 412.0, ..parameters(PRISM) },
         parameters(LensModel::DoubleSphere { xi: -0.2, alpha: 0.6 }),
         parameters(LensModel::Eucm { alpha: 0.62, beta: 1.1 }),
+        parameters(LensModel::Scaramuzza { c: [-0.31, 0.05, -0.06, 0.01, 0.0], skew: 0.003 }),
     ]
     .into_iter()
     .map(|p| Lens::new(p).expect("a good lens"))
@@ -204,6 +205,14 @@ proptest! {
         check_whole_range(LensParameters { fx: wide, fy: wide, ..parameters(model) })?;
     }
 
+    #[test]
+    fn scaramuzza_rays_come_back_over_the_whole_range(
+        c in proptest::array::uniform5(around(0.0, 0.4)), skew in around(0.0, 0.1), wide in 60.0..600.0f64
+    ) {
+        let model = LensModel::Scaramuzza { c, skew };
+        check_whole_range(LensParameters { fx: wide, fy: wide, ..parameters(model) })?;
+    }
+
     /// The formulas of the papers, point by point, as an oracle: projection and inverse of Usenko et al., section 3.5.
     #[test]
     fn double_sphere_agrees_with_the_paper(
@@ -256,7 +265,7 @@ proptest! {
     }
 
     #[test]
-    fn every_ray_in_view_comes_back(x in -1.0..1.0f64, y in -1.0..1.0f64, z in -1.0..1.0f64, which in 0usize..10) {
+    fn every_ray_in_view_comes_back(x in -1.0..1.0f64, y in -1.0..1.0f64, z in -1.0..1.0f64, which in 0usize..11) {
         let ray = DVec3::new(x, y, z);
         prop_assume!(ray.length() > 0.1);
         let lens = &lenses()[which];
