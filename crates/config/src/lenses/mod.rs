@@ -235,3 +235,6 @@ fn split_camera(path: &str) -> (&str, Option<&str>) {
 fn is_camera_key(key: &str) -> bool {
     key.strip_prefix("cam").is_some_and(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()))
 }
+
+#[cfg(test)]
+mod tests;
