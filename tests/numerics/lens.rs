@@ -41,7 +41,8 @@ pub fn lenses() -> Vec<(String, Lens)> {
         ("enhanced unified, beyond 90 deg", LensModel::Eucm { alpha: 0.62, beta: 1.1 }, Some(210.0)),
     ];
     for (name, model, fov_deg) in extremes {
-        let wider = if name.contains("pinhole") || name.contains("rational") || name.contains("prism") { 4.0 } else { 1.0 };
+        let wider =
+            if name.contains("pinhole") || name.contains("rational") || name.contains("prism") { 4.0 } else { 1.0 };
         let parameters = square(model, fov_deg);
         let parameters = LensParameters { fx: wider * parameters.fx, fy: wider * parameters.fy, ..parameters };
         lenses.push((name.to_owned(), Lens::new(parameters).expect("a possible lens")));

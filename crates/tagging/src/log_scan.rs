@@ -66,13 +66,15 @@ impl StreamInfo {
                 _ => {}
             }
         }
-        let mut frames = messages(Selection::topics([topics.image.clone()]))
-            .filter(|message| message.as_ref().map_or(true, |message| measurement::is_frame(&message.channel, &topics)));
+        let mut frames = messages(Selection::topics([topics.image.clone()])).filter(|message| {
+            message.as_ref().map_or(true, |message| measurement::is_frame(&message.channel, &topics))
+        });
         let first_frame = frames.next().transpose()?;
         check_mount(synchroniser.clone(), &found, first_frame.as_ref(), &topics, settings)?;
-        let image_size = first_frame.as_ref().and_then(decode::stated_size).or_else(|| {
-            frames.by_ref().take(MAX_SIZES_TRIED).find_map(|message| decode::stated_size(&message.ok()?))
-        });
+        let image_size = first_frame
+            .as_ref()
+            .and_then(decode::stated_size)
+            .or_else(|| frames.by_ref().take(MAX_SIZES_TRIED).find_map(|message| decode::stated_size(&message.ok()?)));
         drop(frames);
         let has = |topic: &String, kind: &str| types.get(topic).is_some_and(|kinds| kinds.contains(kind));
         let expected = Expected { imu: has(&topics.imu, Imu::TYPE), joints: has(&topics.joints, JointState::TYPE) };

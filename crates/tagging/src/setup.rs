@@ -6,7 +6,9 @@ use thiserror::Error;
 
 use super::log_scan::StreamInfo;
 use super::warnings::{self, AttitudeSource};
-use realitysim_config::{ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens, load_lens_for_image};
+use realitysim_config::{
+    ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens, load_lens_for_image,
+};
 use realitysim_geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};
 use realitysim_localization::observation;
 use realitysim_log_input::FrameAssembler;
@@ -109,7 +111,18 @@ impl Setup {
         let perception = Arc::new(FramePerception::new(&settings, &lens, field.line_width())?);
         let StreamInfo { topics, expected, synchroniser, attitude, .. } = prelude;
         let lens = lens.parameters().clone();
-        Ok(Self { settings, topics, lens, lens_warning, dimensions, field, perception, expected, synchroniser, attitude })
+        Ok(Self {
+            settings,
+            topics,
+            lens,
+            lens_warning,
+            dimensions,
+            field,
+            perception,
+            expected,
+            synchroniser,
+            attitude,
+        })
     }
 }
 
@@ -173,7 +186,8 @@ fn lens_of(info: &CameraInfo, topic: &str) -> Result<LensParameters, SetupError>
     let part = if is_whole {
         whole
     } else {
-        let fits = |offset: u32, size: u32, all: u32| size > 0 && offset.checked_add(size).is_some_and(|end| end <= all);
+        let fits =
+            |offset: u32, size: u32, all: u32| size > 0 && offset.checked_add(size).is_some_and(|end| end <= all);
         if !fits(roi.x_offset, roi.width, info.width) || !fits(roi.y_offset, roi.height, info.height) {
             let (width, height) = (info.width, info.height);
             return Err(refused(format!(
@@ -188,7 +202,8 @@ fn lens_of(info: &CameraInfo, topic: &str) -> Result<LensParameters, SetupError>
     if [x, y] == [1, 1] {
         return Ok(part);
     }
-    part.binned([x, y]).ok_or_else(|| refused(format!("binning_x, binning_y are {x}, {y}: no pixel is left of the image")))
+    part.binned([x, y])
+        .ok_or_else(|| refused(format!("binning_x, binning_y are {x}, {y}: no pixel is left of the image")))
 }
 
 fn field(settings: &Settings) -> Result<(Field, FieldDimensions), SetupError> {

@@ -36,8 +36,9 @@ impl FieldOfView {
                 Ok(Self { projection, horizontal_deg })
             }
             _ => {
-                let expected =
-                    format!("it must be the full horizontal field of view, above 0 and up to {max_deg}deg, as in 120deg");
+                let expected = format!(
+                    "it must be the full horizontal field of view, above 0 and up to {max_deg}deg, as in 120deg"
+                );
                 Err(LensFileError::value("the angle", format_args!("{angle:?}"), expected))
             }
         })

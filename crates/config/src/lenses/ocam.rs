@@ -104,7 +104,9 @@ fn values(text: &str, title: &str, key: &str, what: &str) -> Result<Vec<f64>, Le
     };
     let number = |word: &str| word.parse().ok().filter(|value: &f64| value.is_finite());
     line.split_whitespace()
-        .map(|word| number(word).ok_or_else(|| LensFileError::value(key, format_args!("{word:?}"), "it must be a number")))
+        .map(|word| {
+            number(word).ok_or_else(|| LensFileError::value(key, format_args!("{word:?}"), "it must be a number"))
+        })
         .collect()
 }
 

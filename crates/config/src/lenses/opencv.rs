@@ -65,9 +65,8 @@ pub(super) fn read(text: &str, image_size: Option<[u32; 2]>) -> Result<Content, 
 
 /// Finds the model by the number of coefficients and by what the file says about fisheyes.
 fn model(d: &[f64], fisheye: Option<&str>) -> Result<LensModel, LensFileError> {
-    let refused = |expected: &str| {
-        Err(LensFileError::value("distortion_coefficients.data", format_args!("{d:?}"), expected))
-    };
+    let refused =
+        |expected: &str| Err(LensFileError::value("distortion_coefficients.data", format_args!("{d:?}"), expected));
     let is_fisheye = match fisheye {
         None => None,
         Some("0" | "false") => Some(false),
@@ -85,9 +84,9 @@ fn model(d: &[f64], fisheye: Option<&str>) -> Result<LensModel, LensFileError> {
             Some(model) => Ok(model),
             None => refused("its last two, the tilt of the sensor, must be 0: calibrate without CALIB_TILTED_MODEL"),
         },
-        _ => refused(
-            "it must have 5 (k1, k2, p1, p2, k3), 8 (and k4 to k6), 12 (and s1 to s4), or 4 with fisheye_model",
-        ),
+        _ => {
+            refused("it must have 5 (k1, k2, p1, p2, k3), 8 (and k4 to k6), 12 (and s1 to s4), or 4 with fisheye_model")
+        }
     }
 }
 
@@ -104,7 +103,8 @@ fn xml(text: &str) -> Result<File, LensFileError> {
         matrix(["distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs"])?;
     let mut whole = |names: [&str; 2]| -> Result<Option<u32>, LensFileError> {
         let read = |text: String| {
-            text.parse().map_err(|_| LensFileError::value(names[0], format_args!("{text:?}"), "it must be a number of pixels"))
+            text.parse()
+                .map_err(|_| LensFileError::value(names[0], format_args!("{text:?}"), "it must be a number of pixels"))
         };
         take(&names).map(read).transpose()
     };

@@ -76,9 +76,7 @@ fn model(file: &File) -> Result<LensModel, LensFileError> {
             let d: [f64; 12] = take_coefficients("d", &file.d, "twelve numbers, k1, k2, p1, p2, k3 to k6, s1 to s4")?;
             Ok(LensModel::of_opencv(&d).unwrap_or(LensModel::ThinPrism { d }))
         }
-        "double_sphere" => {
-            Ok(LensModel::DoubleSphere { xi: take("xi", file.xi)?, alpha: take("alpha", file.alpha)? })
-        }
+        "double_sphere" => Ok(LensModel::DoubleSphere { xi: take("xi", file.xi)?, alpha: take("alpha", file.alpha)? }),
         "eucm" => Ok(LensModel::Eucm { alpha: take("alpha", file.alpha)?, beta: take("beta", file.beta)? }),
         "scaramuzza" => {
             let c = take_coefficients("c", &file.c, "five numbers, c2 to c6")?;
@@ -102,7 +100,9 @@ impl File {
             ("c", list(&self.c)),
             ("skew", number(self.skew)),
         ];
-        let wrong = given.into_iter().find_map(|(key, found)| found.filter(|_| !takes.contains(&key)).map(|found| (key, found)));
+        let wrong = given
+            .into_iter()
+            .find_map(|(key, found)| found.filter(|_| !takes.contains(&key)).map(|found| (key, found)));
         let Some((key, found)) = wrong else { return Ok(()) };
         let taken = if takes.is_empty() { "no coefficients".to_owned() } else { takes.join(" and ") };
         Err(LensFileError::value(key, found, format!("{model} takes {taken}: remove it")))

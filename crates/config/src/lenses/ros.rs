@@ -49,7 +49,8 @@ pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
     let keys = DistortionKeys { model: "distortion_model", coefficients: "distortion_coefficients.data" };
     let d = file.distortion_coefficients.map(|matrix| matrix.data).unwrap_or_default();
     let size = [file.image_width, file.image_height];
-    let parameters = parameters(size, "camera_matrix.data", &file.camera_matrix.data, &keys, &file.distortion_model, &d)?;
+    let parameters =
+        parameters(size, "camera_matrix.data", &file.camera_matrix.data, &keys, &file.distortion_model, &d)?;
     let title = file.camera_name.unwrap_or_else(|| "ROS camera".into());
     Ok(Content { title, format: LensFormat::Ros, parameters, visual_mesh_pose: None })
 }
@@ -79,9 +80,7 @@ pub(super) fn intrinsics(matrix_key: &str, matrix: &[f64]) -> Result<[f64; 4], L
             return Err(LensFileError::value(format!("{matrix_key}[{index}]"), focal, expected));
         }
     }
-    for (index, value, wanted) in
-        [(1, skew, 0.0), (3, below_fx, 0.0), (6, b0, 0.0), (7, b1, 0.0), (8, b2, 1.0)]
-    {
+    for (index, value, wanted) in [(1, skew, 0.0), (3, below_fx, 0.0), (6, b0, 0.0), (7, b1, 0.0), (8, b2, 1.0)] {
         if value != wanted {
             let expected = format!("it must be {wanted}: no supported lens has skew or a scaled matrix");
             return Err(LensFileError::value(format!("{matrix_key}[{index}]"), value, expected));

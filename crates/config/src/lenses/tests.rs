@@ -29,7 +29,12 @@ fn every_example_loads_with_its_model() {
         ("opencv-5.yml", OpenCv, LensModel::PlumbBob { d: [-0.29, 0.085, 0.0011, -0.0006, -0.011] }, [412.5, 413.75]),
         ("opencv-8.yml", OpenCv, LensModel::RationalPolynomial { d: RATIONAL }, [412.5, 413.75]),
         ("opencv-12.xml", OpenCv, LensModel::ThinPrism { d: prism }, [412.5, 413.75]),
-        ("opencv-fisheye.xml", OpenCv, LensModel::KannalaBrandt { k: [-0.012, 0.003, -0.0008, 0.0001] }, [205.5, 205.25]),
+        (
+            "opencv-fisheye.xml",
+            OpenCv,
+            LensModel::KannalaBrandt { k: [-0.012, 0.003, -0.0008, 0.0001] },
+            [205.5, 205.25],
+        ),
         ("kalibr-ds.yaml", Kalibr, LensModel::DoubleSphere { xi: -0.21, alpha: 0.59 }, [158.4, 158.1]),
         ("camera.cameramodel", Mrcal, LensModel::RationalPolynomial { d: RATIONAL }, [412.5, 413.75]),
         ("ros-rational.yaml", Ros, LensModel::RationalPolynomial { d: RATIONAL }, [412.5, 413.75]),
@@ -78,7 +83,10 @@ fn an_ocamcalib_lens_sees_where_ocamcalib_does() {
 #[test]
 fn an_opencv_file_that_is_ambiguous_names_the_choice() {
     let five = example("opencv-5.yml");
-    let four = five.replace("cols: 5", "cols: 4").replace(", -0.010999999999999999 ]", " ]").replace(",\n       -0.010999999999999999 ]", " ]");
+    let four = five
+        .replace("cols: 5", "cols: 4")
+        .replace(", -0.010999999999999999 ]", " ]")
+        .replace(",\n       -0.010999999999999999 ]", " ]");
     let count = |text: &str| text.matches("-0.01099").count();
     assert_eq!((count(&five), count(&four)), (1, 0), "{five}");
     let pinhole = read(&four).expect("fisheye_model: 0").lens;
@@ -114,7 +122,10 @@ fn opencv_files_that_cannot_be_right_name_the_key() {
         (xml.replace("412.5 0. 318.25", "412.5 0. many"), "camera_matrix/data is \"many\""),
         (xml.replace("</opencv_storage>", ""), "the file ends inside <opencv_storage>"),
         (xml.replace("opencv_storage", "robot"), "not a lens file of a known format"),
-        (xml.replace("<image_width>640", "<image_width>-640"), "image_width is \"-640\": it must be a number of pixels"),
+        (
+            xml.replace("<image_width>640", "<image_width>-640"),
+            "image_width is \"-640\": it must be a number of pixels",
+        ),
         (xml.replace("distortion_coefficients", "other"), "distortion_coefficients is missing"),
         ("<a>".repeat(10_000), "not a lens file of a known format"),
         (format!("<opencv_storage>{}", "<a>".repeat(100_000)), "nested more than 16 deep"),
@@ -177,9 +188,12 @@ fn kalibr_s_omni_is_refused_with_what_would_do() {
 
 #[test]
 fn a_field_of_view_reaches_from_edge_to_edge() {
-    for (text, half_rad) in
-        [("equidistant:180deg", 90f64), ("equisolid:200deg", 100.0), ("pinhole:90deg", 45.0), ("equidistant:62.5deg", 31.25)]
-    {
+    for (text, half_rad) in [
+        ("equidistant:180deg", 90f64),
+        ("equisolid:200deg", 100.0),
+        ("pinhole:90deg", 45.0),
+        ("equidistant:62.5deg", 31.25),
+    ] {
         let file = load_lens_for_image(text, 800, 600).expect("a good lens");
         assert_eq!((file.format, file.title.as_str()), (LensFormat::FieldOfView, text));
         for column in [-0.5, 799.5] {
@@ -192,7 +206,15 @@ fn a_field_of_view_reaches_from_edge_to_edge() {
 
 #[test]
 fn a_field_of_view_that_no_lens_has_is_refused() {
-    for text in ["equidistant:361deg", "pinhole:180deg", "pinhole:0deg", "equisolid:-9deg", "equisolid:nandeg", "pinhole:90", "pinhole:"] {
+    for text in [
+        "equidistant:361deg",
+        "pinhole:180deg",
+        "pinhole:0deg",
+        "equisolid:-9deg",
+        "equisolid:nandeg",
+        "pinhole:90",
+        "pinhole:",
+    ] {
         let message = load_lens_for_image(text, 640, 480).expect_err("refused").to_string();
         assert!(message.contains("full horizontal field of view"), "{text}: {message}");
     }
@@ -226,7 +248,9 @@ fn a_lens_survives_its_own_format() {
             "model = \"scaramuzza\"\nc = [-0.3, 0.05, -0.06, 0.0, 0.0]\nskew = 0.001".into(),
         ),
     ] {
-        let text = format!("title = \"x\"\nwidth = 640\nheight = 480\nfx = 300.0\nfy = 300.0\ncx = 320.0\ncy = 240.0\n{keys}\n");
+        let text = format!(
+            "title = \"x\"\nwidth = 640\nheight = 480\nfx = 300.0\nfy = 300.0\ncx = 320.0\ncy = 240.0\n{keys}\n"
+        );
         assert_eq!(read(&text).expect("a good file").lens.parameters().model, model);
         assert!(refused(&format!("{text}k = [0.0]\n")).contains("k is [0.0]:"));
         let less = text.lines().take(text.lines().count() - 1).collect::<Vec<_>>().join("\n");

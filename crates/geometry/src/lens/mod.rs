@@ -167,8 +167,7 @@ impl LensParameters {
         let off = |side: u32, own: u32, other: u32, other_own: u32| {
             (f64::from(other) - f64::from(other_own) * f64::from(side) / f64::from(own)).abs()
         };
-        let nearest =
-            off(width, self.width, height, self.height).min(off(height, self.height, width, self.width));
+        let nearest = off(width, self.width, height, self.height).min(off(height, self.height, width, self.width));
         (nearest <= 1.0).then(|| self.resized([Some(width), Some(height)]))
     }
 
@@ -318,9 +317,7 @@ impl Lens {
             LensModel::PlumbBob { d } => Curve::Pinhole(Pinhole::plumb_bob(d, reach, p.fov_deg)?),
             LensModel::RationalPolynomial { d } => Curve::Pinhole(Pinhole::rational(&d, reach, p.fov_deg)?),
             LensModel::ThinPrism { d } => Curve::Pinhole(Pinhole::rational(&d, reach, p.fov_deg)?),
-            LensModel::DoubleSphere { xi, alpha } => {
-                Curve::Radial(Radial::double_sphere(xi, alpha, reach, p.fov_deg)?)
-            }
+            LensModel::DoubleSphere { xi, alpha } => Curve::Radial(Radial::double_sphere(xi, alpha, reach, p.fov_deg)?),
             LensModel::Eucm { alpha, beta } => Curve::Radial(Radial::eucm(alpha, beta, reach, p.fov_deg)?),
             LensModel::Scaramuzza { c, skew } => Curve::Radial(Radial::scaramuzza(c, skew, reach, p.fov_deg)?),
         };

@@ -216,22 +216,29 @@ impl Distortion {
 
     /// The distorted point and the Jacobian of the distortion, row by row.
     fn apply(&self, q: DVec2) -> (DVec2, [f64; 4]) {
-        let ([p1, p2], [s1, s2, s3, s4]) = (self.tangential, self.prism);
+        let [p1, p2] = self.tangential;
         let s = q.x * q.x + q.y * q.y;
         let [radial, radial_slope] = self.radial(s);
         let value = DVec2::new(
-            q.x * radial + 2.0 * p1 * q.x * q.y + p2 * (s + 2.0 * q.x * q.x) + s * (s1 + s * s2),
-            q.y * radial + p1 * (s + 2.0 * q.y * q.y) + 2.0 * p2 * q.x * q.y + s * (s3 + s * s4),
+            q.x * radial + 2.0 * p1 * q.x * q.y + p2 * (s + 2.0 * q.x * q.x),
+            q.y * radial + p1 * (s + 2.0 * q.y * q.y) + 2.0 * p2 * q.x * q.y,
         );
         let cross = 2.0 * q.x * q.y * radial_slope + 2.0 * p1 * q.x + 2.0 * p2 * q.y;
-        let [prism_u, prism_v] = [2.0 * s1 + 4.0 * s2 * s, 2.0 * s3 + 4.0 * s4 * s];
         let jacobian = [
-            radial + 2.0 * q.x * q.x * radial_slope + 2.0 * p1 * q.y + 6.0 * p2 * q.x + prism_u * q.x,
-            cross + prism_u * q.y,
-            cross + prism_v * q.x,
-            radial + 2.0 * q.y * q.y * radial_slope + 6.0 * p1 * q.y + 2.0 * p2 * q.x + prism_v * q.y,
+            radial + 2.0 * q.x * q.x * radial_slope + 2.0 * p1 * q.y + 6.0 * p2 * q.x,
+            cross,
+            cross,
+            radial + 2.0 * q.y * q.y * radial_slope + 6.0 * p1 * q.y + 2.0 * p2 * q.x,
         ];
-        (value, jacobian)
+        if self.prism == [0.0; 4] { (value, jacobian) } else { self.add_prism(q, value, jacobian) }
+    }
+
+    /// Adds the thin prism terms to a distorted point and its Jacobian.
+    fn add_prism(&self, q: DVec2, value: DVec2, [a, b, c, d]: [f64; 4]) -> (DVec2, [f64; 4]) {
+        let ([s1, s2, s3, s4], s) = (self.prism, q.x * q.x + q.y * q.y);
+        let [by_u, by_v] = [2.0 * s1 + 4.0 * s2 * s, 2.0 * s3 + 4.0 * s4 * s];
+        let moved = DVec2::new(s * (s1 + s * s2), s * (s3 + s * s4));
+        (value + moved, [a + by_u * q.x, b + by_u * q.y, c + by_v * q.x, d + by_v * q.y])
     }
 
     /// The radial factor, and its derivative by the squared radius `s`.

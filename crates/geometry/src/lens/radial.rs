@@ -26,11 +26,20 @@ enum Profile {
     KannalaBrandt([f64; 4]),
     Equisolid,
     /// Offset xi and blend alpha of Usenko et al. 2018.
-    DoubleSphere { xi: f64, alpha: f64 },
+    DoubleSphere {
+        xi: f64,
+        alpha: f64,
+    },
     /// Blend alpha and shape beta of Khomutenko et al. 2016.
-    Eucm { alpha: f64, beta: f64 },
+    Eucm {
+        alpha: f64,
+        beta: f64,
+    },
     /// Coefficients c2 to c6, and the radius where the lens ends.
-    Scaramuzza { c: [f64; 5], end: f64 },
+    Scaramuzza {
+        c: [f64; 5],
+        end: f64,
+    },
 }
 
 /// Largest magnitude of xi. At 1 the spheres touch, and all of the half space behind falls on one ray.

@@ -6,8 +6,7 @@ fn parameters(model: LensModel) -> LensParameters {
 }
 
 /// A rational lens of the kind that depth cameras announce: large coefficients that nearly cancel.
-const OAK: LensModel =
-    LensModel::RationalPolynomial { d: [4.1, -2.3, 0.0011, -0.0007, 0.31, 4.3, -0.7, -0.2] };
+const OAK: LensModel = LensModel::RationalPolynomial { d: [4.1, -2.3, 0.0011, -0.0007, 0.31, 4.3, -0.7, -0.2] };
 const PRISM: LensModel = LensModel::ThinPrism {
     d: [-0.31, 0.11, 0.0012, -0.0008, -0.014, 0.02, -0.003, 0.0004, 0.0021, -0.0003, -0.0013, 0.0002],
 };
@@ -80,7 +79,8 @@ fn a_polynomial_that_turns_back_is_refused_within_the_stated_view() {
 
 #[test]
 fn the_new_models_refuse_what_they_cannot_draw() {
-    let refused = |model, fov_deg| Lens::new(LensParameters { fov_deg, ..parameters(model) }).expect_err("refused").to_string();
+    let refused =
+        |model, fov_deg| Lens::new(LensParameters { fov_deg, ..parameters(model) }).expect_err("refused").to_string();
     let ds = |xi, alpha| LensModel::DoubleSphere { xi, alpha };
     assert!(refused(ds(1.0, 0.5), None).contains("xi is 1: it must be above -1"));
     assert!(refused(ds(f64::NAN, 0.5), None).contains("xi is NaN"));
@@ -155,7 +155,9 @@ fn check_whole_range(parameters: LensParameters) -> Result<(), TestCaseError> {
         for j in 0..9 {
             let ray = ray(angle, f64::from(j) * 0.7);
             let Some(pixel) = lens.project(ray) else { panic!("{model:?}: nothing at {angle} of {end}") };
-            let Some(back) = lens.unproject(pixel) else { panic!("{model:?}: {pixel} has no ray, at {angle} of {end}") };
+            let Some(back) = lens.unproject(pixel) else {
+                panic!("{model:?}: {pixel} has no ray, at {angle} of {end}")
+            };
             prop_assert!((back - ray).length() < 1e-7, "{model:?}: {angle} of {end}: {}", (back - ray).length());
             let fast = projector.project(ray).expect("in view");
             // Pinholes that bend outwards and their like draw far beyond any image there.
