@@ -150,6 +150,9 @@ fn every_model_comes_back_from_its_calibration_message() {
         };
         let info = CameraInfo::of_lens(&lens, Header::default());
         let read = lens_from_camera_info(info.width, info.height, &info.distortion_model, &info.d, &info.k);
+        // And what session.json and database.json state.
+        let stored = serde_json::to_string(&lens).expect("it can be stored");
+        assert_eq!(serde_json::from_str::<LensParameters>(&stored).expect("it can be read"), lens, "{stored}");
         assert_eq!(read, Ok(lens));
     }
 }

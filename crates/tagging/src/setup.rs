@@ -199,11 +199,13 @@ fn lens_of(info: &CameraInfo, topic: &str) -> Result<LensParameters, SetupError>
     };
     // 0 means the same as 1.
     let [x, y] = [info.binning_x, info.binning_y].map(|factor| factor.max(1));
-    if [x, y] == [1, 1] {
-        return Ok(part);
-    }
-    part.binned([x, y])
-        .ok_or_else(|| refused(format!("binning_x, binning_y are {x}, {y}: no pixel is left of the image")))
+    let sent = if [x, y] == [1, 1] { Some(part) } else { part.binned([x, y]) };
+    let sent =
+        sent.ok_or_else(|| refused(format!("binning_x, binning_y are {x}, {y}: no pixel is left of the image")))?;
+    // Its numbers are judged here, under its name, before the settings add their field of view.
+    let lens = Lens::new(sent)
+        .map_err(|error| SetupError::CameraInfo { topic: topic.to_owned(), source: LensFileError::from(error) })?;
+    Ok(lens.parameters().clone())
 }
 
 fn field(settings: &Settings) -> Result<(Field, FieldDimensions), SetupError> {

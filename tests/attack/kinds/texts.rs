@@ -21,10 +21,10 @@ use crate::walks::{SCENE, options, replayed};
 const ROBOT: &str = include_str!("../../../config/robot.toml");
 const FIELDS: [&str; 2] =
     [include_str!("../../../config/fields/kid-2009.toml"), include_str!("../../../config/fields/kid-2020.toml")];
-/// Of the walks' camera.
 const OPENCV: &str = include_str!("../../data/lenses/opencv-12.xml");
 const OCAM: &str = include_str!("../../data/lenses/calib_results.txt");
 const MRCAL: &str = include_str!("../../data/lenses/camera.cameramodel");
+/// Of the walks' camera.
 pub const CALIBRATED: &str = "image_width: 320\nimage_height: 240\ncamera_name: test\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: \
     [102.5, 0, 160.75, 0, 102.5, 117.75, 0, 0, 1]\ndistortion_model: equidistant\ndistortion_coefficients:\n  rows: 1\n  cols: \
     4\n  data: [-0.012, 0.003, -0.0008, 0.0]\n";
