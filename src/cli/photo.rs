@@ -13,6 +13,7 @@ use crate::config::{load_lens_for_image, plain_file};
 use crate::geometry::{Euler, Pose2};
 use crate::log_input::{body_mask, decode};
 use crate::tagging::single_image::{ImagePrior, MIN_SHARE, MIN_WEIGHT, PoseHypothesis};
+use crate::tagging::warnings::scaled_lens;
 use crate::vision::Picture;
 
 #[derive(Args)]
@@ -56,6 +57,9 @@ impl PhotoArguments {
         let picture = decode::compressed(&bytes).with_context(|| image.display().to_string())?;
         let (width, height) = (picture.width as u32, picture.height as u32);
         let lens = load_lens_for_image(beside.lens, width, height)?;
+        if let Some(stated) = lens.scaled_from {
+            eprintln!("realitysim: warning: {}", scaled_lens(beside.lens, stated, [width, height]));
+        }
         let stated = lens.visual_mesh_pose.map(|pose| pose.world_from_camera_link);
         let attitude = self.attitude.or(stated.map(|pose| pose.euler())).ok_or_else(|| {
             UsageError(format!("--attitude is missing, and {} does not say how the camera was tilted", beside.lens))

@@ -178,6 +178,11 @@ fn lens_file(lens: &LensParameters) -> String {
         LensModel::KannalaBrandt { k } => format!("model = \"kannala_brandt\"\nk = [{}]\n", list(k)),
         LensModel::Equisolid => "model = \"equisolid\"\n".to_owned(),
         LensModel::PlumbBob { d } => format!("model = \"plumb_bob\"\nd = [{}]\n", list(d)),
+        LensModel::RationalPolynomial { d } => format!("model = \"rational_polynomial\"\nd = [{}]\n", list(d)),
+        LensModel::ThinPrism { d } => format!("model = \"thin_prism\"\nd = [{}]\n", list(d)),
+        LensModel::DoubleSphere { xi, alpha } => format!("model = \"double_sphere\"\nxi = {xi:?}\nalpha = {alpha:?}\n"),
+        LensModel::Eucm { alpha, beta } => format!("model = \"eucm\"\nalpha = {alpha:?}\nbeta = {beta:?}\n"),
+        LensModel::Scaramuzza { c, skew } => format!("model = \"scaramuzza\"\nc = [{}]\nskew = {skew:?}\n", list(c)),
     };
     let fov = fov_deg.map_or(String::new(), |fov| format!("fov_deg = {fov:?}\n"));
     format!(

@@ -56,7 +56,7 @@ pub struct SettingsArguments {
     /// Kernel: auto, avx2, sse2 or scalar; the tags are the same on each.
     #[arg(long, value_name = "PATH", value_parser = word::<SimdPath>)]
     simd: Option<SimdPath>,
-    /// A lens file in place of the log's camera_info.
+    /// A lens file, or a field of view as equidistant:180deg, in place of the log's camera_info.
     #[arg(long, value_name = "FILE")]
     lens: Option<String>,
 }

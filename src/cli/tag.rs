@@ -32,7 +32,7 @@ use crate::tagging::single_image::{FitQuality, ImageLocation, PoseHypothesis};
 pub struct TagArguments {
     /// A JPEG or PNG
     image: PathBuf,
-    /// Lens file: TOML (config/cameras), ROS camera_calibration, Kalibr camchain or VisualMesh YAML
+    /// Lens file (of ROS, OpenCV, Kalibr, OCamCalib, mrcal, VisualMesh or this program), shipped camera, or equidistant:180deg
     #[arg(long, value_name = "FILE")]
     lens: String,
     #[command(flatten)]

@@ -2,6 +2,7 @@
 
 mod fields;
 mod lenses;
+mod opencv_oracle;
 pub mod other_formats;
 mod refused;
 mod robot;

@@ -1,7 +1,8 @@
 //! Lens files that other tools write, in the shape in which they write them.
 
 use realitysim::config::{LensFormat, LensWanted, lens_from_camera_info, load_lens, load_lens_for_image, parse_lens};
-use realitysim::geometry::LensModel;
+use realitysim::geometry::{LensModel, LensParameters};
+use realitysim::ros2::messages::{CameraInfo, Header};
 
 pub const ROS: &str = "\
 image_width: 640
@@ -124,6 +125,38 @@ fn visual_mesh_files_load_with_their_pose() {
     assert_eq!(parse_lens(without, "lens.yaml", LARGE).expect("a good file").visual_mesh_pose, None);
 }
 
+/// What a capture announces is what its replay reads.
+#[test]
+fn every_model_comes_back_from_its_calibration_message() {
+    for model in [
+        LensModel::KannalaBrandt { k: [-0.01, 0.002, 0.0, 0.0] },
+        LensModel::Equisolid,
+        LensModel::PlumbBob { d: [-0.2, 0.05, 0.001, -0.001, 0.0] },
+        LensModel::RationalPolynomial { d: [4.1, -2.3, 0.001, -0.001, 0.3, 4.3, -0.7, -0.2] },
+        LensModel::ThinPrism { d: [-0.3, 0.1, 0.001, -0.001, -0.01, 0.02, 0.0, 0.0, 0.002, 0.0, -0.001, 0.0] },
+        LensModel::DoubleSphere { xi: -0.2, alpha: 0.6 },
+        LensModel::Eucm { alpha: 0.6, beta: 1.1 },
+        LensModel::Scaramuzza { c: [-0.3, 0.05, -0.06, 0.0, 0.0], skew: 0.001 },
+    ] {
+        let lens = LensParameters {
+            width: 640,
+            height: 480,
+            fx: 300.0,
+            fy: 301.0,
+            cx: 320.0,
+            cy: 240.0,
+            model,
+            fov_deg: None,
+        };
+        let info = CameraInfo::of_lens(&lens, Header::default());
+        let read = lens_from_camera_info(info.width, info.height, &info.distortion_model, &info.d, &info.k);
+        // And what session.json and database.json state.
+        let stored = serde_json::to_string(&lens).expect("it can be stored");
+        assert_eq!(serde_json::from_str::<LensParameters>(&stored).expect("it can be read"), lens, "{stored}");
+        assert_eq!(read, Ok(lens));
+    }
+}
+
 #[test]
 fn camera_info_gives_the_lens() {
     let k = [410.0, 0.0, 320.5, 0.0, 411.0, 240.5, 0.0, 0.0, 1.0];
@@ -137,6 +170,14 @@ fn camera_info_gives_the_lens() {
     assert_eq!(lens("equidistant", &[0.1, 0.2, 0.3, 0.4]), Ok(LensModel::KannalaBrandt { k: [0.1, 0.2, 0.3, 0.4] }));
     let rational = [0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.0];
     assert_eq!(lens("rational_polynomial", &rational), Ok(LensModel::PlumbBob { d: [0.1, 0.2, 0.3, 0.4, 0.5] }));
+
+    let eight = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8];
+    assert_eq!(lens("rational_polynomial", &eight), Ok(LensModel::RationalPolynomial { d: eight }));
+    let twelve = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.01, 0.0, 0.0, 0.0];
+    for (name, d) in [("thin_prism", &twelve[..]), ("rational_polynomial", &[&twelve[..], &[0.0, 0.0]].concat())] {
+        assert_eq!(lens(name, d), Ok(LensModel::ThinPrism { d: twelve }));
+    }
+    assert_eq!(lens("fisheye", &[0.1, 0.2, 0.3, 0.4]), Ok(LensModel::KannalaBrandt { k: [0.1, 0.2, 0.3, 0.4] }));
 
     let p = lens_from_camera_info(640, 480, "plumb_bob", &[], &k).expect("a good lens");
     assert_eq!((p.width, p.height, p.fx, p.fy, p.cx, p.cy), (640, 480, 410.0, 411.0, 320.5, 240.5));

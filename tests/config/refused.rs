@@ -22,7 +22,12 @@ fn check(text: &str, wanted: LensWanted, changes: &[(&str, &str, &str)]) {
 #[test]
 fn ros_files() {
     let changes = [
-        ("plumb_bob", "thin_prism", "distortion_model is \"thin_prism\": it must be \"plumb_bob\""),
+        ("plumb_bob", "magic", "distortion_model is \"magic\": it must be \"plumb_bob\""),
+        (
+            "plumb_bob",
+            "thin_prism",
+            "distortion_coefficients.data is [-0.361976, 0.11051, 0.001014, 0.000505, 0.0]: thin_prism",
+        ),
         ("0.000505, 0.000000]", "0.000505, 0.0, 0.0]", "distortion_coefficients.data is [-0.361976"),
         ("438.783367, 0.000000", "0.0, 0.0", "camera_matrix.data[0] is 0: a focal length is above 0"),
         ("438.783367, 0.000000", "438.783367, 0.7", "camera_matrix.data[1] is 0.7: it must be 0"),
@@ -34,15 +39,21 @@ fn ros_files() {
     check(ROS, LensWanted::default(), &changes);
     let rational =
         ROS.replace("plumb_bob", "rational_polynomial").replace("0.000000]\nrect", "0.0, 0.1, 0.0, 0.0]\nrect");
-    assert!(refused(&rational, LensWanted::default()).contains("unless k4, k5 and k6 are 0"));
+    assert!(parse_lens(&rational, "lens.yaml", LensWanted::default()).is_ok());
+    let seven = rational.replace("0.0, 0.1, 0.0, 0.0]", "0.0, 0.1, 0.0]");
+    assert!(refused(&seven, LensWanted::default()).contains("rational_polynomial takes 8"));
+    let tilted = rational.replace("0.1, 0.0, 0.0]", "0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.0]");
+    assert!(refused(&tilted, LensWanted::default()).contains("the tilt of the sensor, must be 0"));
 }
 
 #[test]
 fn kalibr_files() {
     let cam1 = LensWanted { camera: Some("cam1"), image_size: None };
-    for model in ["omni", "ds", "eucm"] {
+    let message = refused(&KALIBR.replace("pinhole", "omni"), cam1);
+    assert!(message.contains("cam1.camera_model is \"omni\": supported are pinhole"), "{message}");
+    for model in ["ds", "eucm"] {
         let message = refused(&KALIBR.replace("pinhole", model), cam1);
-        assert!(message.contains(&format!("cam1.camera_model is \"{model}\": only \"pinhole\"")), "{message}");
+        assert!(message.contains("cam1.intrinsics is [") && message.contains("six numbers"), "{message}");
     }
     let changes = [
         ("radtan", "fov", "cam0.distortion_model is \"fov\": it must be \"radtan\""),
@@ -84,7 +95,9 @@ fn camera_info() {
     assert!(refused("plumb_bob", &[], &[0.0; 9]).contains("has not been calibrated"));
     assert!(refused("plumb_bob", &[0.1], &k).contains("d is [0.1]: plumb_bob takes 4"));
     assert!(refused("equidistant", &[0.1; 5], &k).contains("equidistant takes 4"));
-    assert!(refused("rational_polynomial", &[0.1; 8], &k).contains("unless k4, k5 and k6 are 0"));
+    assert!(refused("rational_polynomial", &[0.1; 7], &k).contains("d is [0.1, 0.1"));
+    assert!(refused("rational_polynomial", &[0.1; 14], &k).contains("the tilt of the sensor, must be 0"));
+    assert!(refused("thin_prism", &[0.1; 8], &k).contains("thin_prism takes 12"));
     assert!(refused("", &[0.1; 4], &k).contains("distortion_model is \"\""));
 }
 

@@ -84,6 +84,18 @@ fn texts() {
     for (name, text) in [("ros", ROS), ("kalibr", KALIBR), ("visualmesh", VISUAL_MESH)] {
         keep("lens", &format!("sound-{name}"), text);
     }
+    for name in [
+        "opencv-5.yml",
+        "opencv-8.yml",
+        "opencv-12.xml",
+        "opencv-fisheye.xml",
+        "kalibr-ds.yaml",
+        "camera.cameramodel",
+        "calib_results.txt",
+        "ros-rational.yaml",
+    ] {
+        keep("lens", &format!("sound-{name}"), fs::read(format!("tests/data/lenses/{name}")).unwrap());
+    }
     keep("settings", "sound-every-default", without_comments(&fs::read_to_string("config/robot.toml").unwrap()));
     keep("settings", "sound-filter", "[filter]\nparticles = 300\nalpha = -3.5\nmodel = \"distance\"\nseed = 5\n");
     keep("settings", "sound-serial", "[serial]\nports = [{ device = \"/dev/ttyACM0\", baud = 115200 }]\n");

@@ -8,6 +8,11 @@ use realitysim::geometry::{Lens, LensModel, LensParameters, Projector};
 
 use realitysim_test_support::measured::largest_error;
 
+/// Numerator and denominator nearly cancel, as in what depth cameras announce.
+const RATIONAL: [f64; 8] = [4.1, -2.3, 0.0011, -0.0007, 0.31, 4.3, -0.7, -0.2];
+const THIN_PRISM: [f64; 12] =
+    [-0.31, 0.11, 0.0012, -0.0008, -0.014, 0.02, -0.003, 0.0004, 0.0021, -0.0003, -0.0013, 0.0002];
+
 /// Each shipped lens, and others at the edge of what their models can do.
 pub fn lenses() -> Vec<(String, Lens)> {
     let shipped = ["equisolid-640", "fisheye-1280", "fisheye-640", "paper-640", "wide-640", "wide-800"];
@@ -29,9 +34,15 @@ pub fn lenses() -> Vec<(String, Lens)> {
         ("all around, equisolid", LensModel::Equisolid, Some(360.0)),
         ("pinhole, strongly bent", LensModel::PlumbBob { d: [-0.28, 0.09, 0.002, -0.003, -0.012] }, None),
         ("pinhole, cushion", LensModel::PlumbBob { d: [0.3, 0.2, -0.002, 0.001, 0.1] }, None),
+        ("rational, large terms", LensModel::RationalPolynomial { d: RATIONAL }, None),
+        ("thin prism", LensModel::ThinPrism { d: THIN_PRISM }, None),
+        ("double sphere, beyond 90 deg", LensModel::DoubleSphere { xi: -0.23, alpha: 0.59 }, Some(230.0)),
+        ("scaramuzza", LensModel::Scaramuzza { c: [-0.31, 0.05, -0.06, 0.01, 0.0], skew: 0.003 }, Some(200.0)),
+        ("enhanced unified, beyond 90 deg", LensModel::Eucm { alpha: 0.62, beta: 1.1 }, Some(210.0)),
     ];
     for (name, model, fov_deg) in extremes {
-        let wider = if matches!(model, LensModel::PlumbBob { .. }) { 4.0 } else { 1.0 };
+        let wider =
+            if name.contains("pinhole") || name.contains("rational") || name.contains("prism") { 4.0 } else { 1.0 };
         let parameters = square(model, fov_deg);
         let parameters = LensParameters { fx: wider * parameters.fx, fy: wider * parameters.fy, ..parameters };
         lenses.push((name.to_owned(), Lens::new(parameters).expect("a possible lens")));
@@ -117,7 +128,8 @@ fn on_the_axis_nothing_is_divided_by_zero() {
         for size in [1e-300, 1e-160, 1e-20, 1e-12, 1e-9] {
             let ray = DVec3::new(size, -size, 1.0);
             let pixel = lens.project(ray).expect("beside the axis");
-            let expected = DVec2::new(p.cx + p.fx * size, p.cy - p.fy * size);
+            let scale = 2.0 * lens.focal() / (p.fx + p.fy);
+            let expected = DVec2::new(p.cx + scale * p.fx * size, p.cy - scale * p.fy * size);
             assert!(pixel.distance(expected) <= 1e-12, "{name} {size}: {pixel}");
             let back = lens.unproject(pixel).expect("beside the axis");
             assert!(back.is_finite() && back.distance(ray.normalize()) < 1e-15, "{name} {size}");

@@ -56,6 +56,18 @@ fn hypot(a: &Exact, b: &Exact) -> Exact {
     (a * a + b * b).sqrt()
 }
 
+/// OpenCV's distortion with thin prism terms, of a point in the plane at distance 1.
+fn opencv(d: [f64; 12], a: Exact, b: Exact) -> (Exact, Exact) {
+    let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = d.map(exact);
+    let s = &a * &a + &b * &b;
+    let [one, two] = [1.0, 2.0].map(exact);
+    let above = &one + &s * (k1 + &s * (k2 + &s * k3));
+    let radial = above / (&one + &s * (k4 + &s * (k5 + &s * k6)));
+    let u = &a * &radial + &two * &p1 * &a * &b + &p2 * (&s + &two * &a * &a) + &s * (s1 + &s * s2);
+    let v = &b * &radial + &p1 * (&s + &two * &b * &b) + &two * &p2 * &a * &b + &s * (s3 + &s * s4);
+    (u, v)
+}
+
 /// Where the model's own formula draws a ray.
 fn drawn(lens: &Lens, ray: DVec3) -> [Exact; 2] {
     let [x, y, z] = ray.to_array().map(exact);
@@ -83,6 +95,39 @@ fn drawn(lens: &Lens, ray: DVec3) -> [Exact; 2] {
             let u = &a * &radial + &two * &p1 * &a * &b + &p2 * (&s + &two * &a * &a);
             let v = &b * &radial + &p1 * (&s + &two * &b * &b) + &two * &p2 * &a * &b;
             (u, v)
+        }
+        LensModel::RationalPolynomial { d: [k1, k2, p1, p2, k3, k4, k5, k6] } => {
+            opencv([k1, k2, p1, p2, k3, k4, k5, k6, 0.0, 0.0, 0.0, 0.0], x / &z, y / &z)
+        }
+        LensModel::ThinPrism { d } => opencv(d, x / &z, y / &z),
+        LensModel::DoubleSphere { xi, alpha } => {
+            let length = (&off_axis * &off_axis + &z * &z).sqrt();
+            let depth = exact(xi) * &length + &z;
+            let below = exact(alpha) * hypot(&off_axis, &depth) + (exact(1.0) - exact(alpha)) * &depth;
+            (x / &below, y / below)
+        }
+        LensModel::Eucm { alpha, beta } => {
+            let distance = (exact(beta) * &off_axis * &off_axis + &z * &z).sqrt();
+            let below = exact(alpha) * distance + (exact(1.0) - exact(alpha)) * &z;
+            (x / &below, y / below)
+        }
+        LensModel::Scaramuzza { c, skew } => {
+            let angle = off_axis.atan2(&z);
+            // Newton's method on theta(r) = atan2(r, g(r)) doubles the digits that the lens has found.
+            let at = lens.project(ray).expect("drawn");
+            let (row, column) = ((at.y - p.cy) / p.fy, (at.x - p.cx) / p.fx);
+            let mut r = exact((column - skew * row).hypot(row));
+            for _ in 0..4 {
+                let [mut g, mut slope] = [exact(1.0), exact(0.0)];
+                for (i, c) in c.iter().enumerate() {
+                    g += exact(*c) * r.powi((i as i32 + 2).into());
+                    slope += exact(*c) * exact((i + 2) as f64) * r.powi((i as i32 + 1).into());
+                }
+                let miss = r.atan2(&g) - &angle;
+                r = &r - miss * (&r * &r + &g * &g) / (&g - &r * slope);
+            }
+            let (x, y) = (x * &r / &off_axis, y * &r / &off_axis);
+            (x + exact(skew) * &y, y)
         }
     };
     [exact(p.cx) + exact(p.fx) * u, exact(p.cy) + exact(p.fy) * v]

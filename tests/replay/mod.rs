@@ -25,6 +25,7 @@ mod hard;
 mod hostile_database;
 mod independent;
 mod interrupted;
+mod lenses;
 mod losses;
 mod memory;
 pub mod no_frames;

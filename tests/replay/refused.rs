@@ -83,8 +83,14 @@ fn a_calibration_of_zeros_is_refused() {
     assert_refused(&blank, &[CAMERA_INFO]);
     let other = changed::<CameraInfo>(&walk().messages, CAMERA_INFO, |info| info.distortion_model = "magic".into());
     assert_refused(&other, &[CAMERA_INFO, "magic", "plumb_bob"]);
-    let part = changed::<CameraInfo>(&walk().messages, CAMERA_INFO, |info| info.binning_x = 2);
-    assert_refused(&part, &[CAMERA_INFO, "binning"]);
+    let part = changed::<CameraInfo>(&walk().messages, CAMERA_INFO, |info| info.roi.width = 10);
+    assert_refused(&part, &[CAMERA_INFO, "roi is 10 x 0 pixels", "must lie within width x height, 320 x 240"]);
+    let beyond = changed::<CameraInfo>(&walk().messages, CAMERA_INFO, |info| {
+        (info.roi.x_offset, info.roi.width, info.roi.height) = (u32::MAX, 10, 10);
+    });
+    assert_refused(&beyond, &[CAMERA_INFO, "from column 4294967295, row 0"]);
+    let binned = changed::<CameraInfo>(&walk().messages, CAMERA_INFO, |info| info.binning_y = 241);
+    assert_refused(&binned, &[CAMERA_INFO, "binning_x, binning_y are 1, 241: no pixel is left"]);
 }
 
 #[test]

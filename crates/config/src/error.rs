@@ -87,10 +87,12 @@ pub enum LensFileError {
     /// The text cannot be parsed; the message is that of the parser.
     #[error("{0}")]
     Syntax(String),
-    /// The text is of none of the four formats.
+    /// The text is of none of the formats.
     #[error(
         "not a lens file of a known format: this crate's TOML begins with `key = value`, ROS camera_calibration YAML \
-         has image_width and camera_matrix, Kalibr has cam0, VisualMesh has projection and focal_length"
+         has image_width and camera_matrix, OpenCV's YAML has camera_matrix and its XML opencv_storage, Kalibr has cam0, \
+         VisualMesh has projection and focal_length, OCamCalib begins with a comment on the DIRECT mapping function, mrcal \
+         has lensmodel"
     )]
     UnknownFormat,
     /// The value of a key is impossible or not supported.
@@ -111,7 +113,7 @@ pub enum LensFileError {
         /// Sentence that says what would be right.
         expected: String,
     },
-    /// The lens is calibrated for another image size.
+    /// The lens is calibrated for an image of another aspect ratio.
     #[error("the lens is for images of {} x {}, but the image has {} x {}", file[0], file[1], image[0], image[1])]
     ImageSize {
         /// Width and height that the file states, pixels.
@@ -119,8 +121,10 @@ pub enum LensFileError {
         /// Width and height of the image, pixels.
         image: [u32; 2],
     },
-    /// A VisualMesh file was read without the size of its image.
-    #[error("a VisualMesh file does not say how large its image is: the image must be given along with it")]
+    /// A lens that does not state the size of its image was read without an image.
+    #[error(
+        "it does not say how large its image is: this works for commands on images and logs only; give a lens file with the size"
+    )]
     ImageSizeUnknown,
     /// The parameters describe an impossible lens.
     #[error(transparent)]

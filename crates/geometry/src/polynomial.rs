@@ -27,6 +27,17 @@ pub fn first_non_positive(coefficients: &[f64], end: f64) -> Option<f64> {
     None
 }
 
+/// Multiplies two polynomials.
+pub fn product(a: &[f64], b: &[f64]) -> Vec<f64> {
+    let mut product = vec![0.0; (a.len() + b.len()).saturating_sub(1)];
+    for (i, a) in a.iter().enumerate() {
+        for (j, b) in b.iter().enumerate() {
+            product[i + j] += a * b;
+        }
+    }
+    product
+}
+
 fn derivative(coefficients: &[f64]) -> Vec<f64> {
     coefficients.iter().enumerate().skip(1).map(|(power, c)| power as f64 * c).collect()
 }

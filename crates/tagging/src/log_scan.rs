@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use super::setup::SetupError;
 use super::warnings::AttitudeSource;
 use realitysim_config::{Settings, Topics};
+use realitysim_log_input::decode;
 use realitysim_log_input::log::LogError;
 use realitysim_log_input::measurement::{self, Measurement};
 use realitysim_log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
@@ -18,6 +19,8 @@ pub struct StreamInfo {
     pub topics: Topics,
     /// The first calibration message, if there is one.
     pub camera_info: Option<CameraInfo>,
+    /// Width and height of the first image whose size can be read, pixels.
+    pub image_size: Option<[u32; 2]>,
     /// State with the constant transforms, which count from the start wherever in the log they stand.
     pub synchroniser: SynchroniserState,
     /// Kinds of measurements that the stream has, so that frames wait for them.
@@ -28,6 +31,9 @@ pub struct StreamInfo {
 
 /// Messages of each calibration and transform channel that are read; more are not needed to know the constants.
 const ENOUGH: u32 = 200;
+
+/// Images whose size is tried to be read: of a camera that begins with broken ones, some later image will do.
+const MAX_SIZES_TRIED: usize = 30;
 
 impl StreamInfo {
     /// Reads the calibration and transforms of a stream, resolves its topics and checks the camera's mount.
@@ -60,15 +66,22 @@ impl StreamInfo {
                 _ => {}
             }
         }
-        let first_frame = messages(Selection::topics([topics.image.clone()]))
-            .find(|message| message.as_ref().map_or(true, |message| measurement::is_frame(&message.channel, &topics)));
-        check_mount(synchroniser.clone(), &found, first_frame.transpose()?.as_ref(), &topics, settings)?;
+        let mut frames = messages(Selection::topics([topics.image.clone()])).filter(|message| {
+            message.as_ref().map_or(true, |message| measurement::is_frame(&message.channel, &topics))
+        });
+        let first_frame = frames.next().transpose()?;
+        check_mount(synchroniser.clone(), &found, first_frame.as_ref(), &topics, settings)?;
+        let image_size = first_frame
+            .as_ref()
+            .and_then(decode::stated_size)
+            .or_else(|| frames.by_ref().take(MAX_SIZES_TRIED).find_map(|message| decode::stated_size(&message.ok()?)));
+        drop(frames);
         let has = |topic: &String, kind: &str| types.get(topic).is_some_and(|kinds| kinds.contains(kind));
         let expected = Expected { imu: has(&topics.imu, Imu::TYPE), joints: has(&topics.joints, JointState::TYPE) };
         let imus =
             types.iter().filter(|(_, kinds)| kinds.contains(Imu::TYPE)).map(|(topic, _)| topic.clone()).collect();
         let attitude = AttitudeSource { topic: topics.imu.clone(), all: imus };
-        Ok(Self { topics, camera_info, synchroniser: synchroniser.state().clone(), expected, attitude })
+        Ok(Self { topics, camera_info, image_size, synchroniser: synchroniser.state().clone(), expected, attitude })
     }
 }
 

@@ -94,6 +94,7 @@ impl Run {
             threads: recording.threads,
             ..ReplayReport::default()
         };
+        report.warnings.extend(setup.lens_warning.clone());
         let warm = if options.warm_start { last_state(&options.captures) } else { Ok(None) };
         let warm = warm.unwrap_or_else(|error| {
             // A robot that starts by itself must record, also when the last run has left a broken file.

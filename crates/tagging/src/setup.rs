@@ -5,8 +5,10 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use super::log_scan::StreamInfo;
-use super::warnings::AttitudeSource;
-use realitysim_config::{ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens};
+use super::warnings::{self, AttitudeSource};
+use realitysim_config::{
+    ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens, load_lens_for_image,
+};
 use realitysim_geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};
 use realitysim_localization::observation;
 use realitysim_log_input::FrameAssembler;
@@ -38,11 +40,13 @@ pub enum SetupError {
         /// What is wrong.
         source: LensFileError,
     },
-    /// The calibration is of binned or cropped images.
-    #[error("{topic}: binning or a region of interest is set: record whole images, or give a lens file of the part")]
+    /// The calibration is of binned or cropped images of which nothing is left.
+    #[error("{topic}: {what}")]
     CameraInfoPart {
         /// The topic of the calibration.
         topic: String,
+        /// What is wrong with binning or region of interest, and what would be right.
+        what: String,
     },
     /// `camera.fov_deg` is not possible with this lens.
     #[error("camera.fov_deg: {0}")]
@@ -74,6 +78,8 @@ pub struct Setup {
     pub topics: Topics,
     /// The lens.
     pub lens: LensParameters,
+    /// What a user should know about how the lens was found.
+    pub lens_warning: Option<String>,
     /// Dimensions of the field, as its file states them.
     pub dimensions: FieldDimensions,
     /// The field.
@@ -100,12 +106,23 @@ impl Setup {
 
     /// Loads and checks lens, field and body masks for a source.
     pub fn new(settings: Settings, prelude: StreamInfo) -> Result<Self, SetupError> {
-        let lens = lens(&settings, &prelude)?;
+        let (lens, lens_warning) = lens(&settings, &prelude)?;
         let (field, dimensions) = field(&settings)?;
         let perception = Arc::new(FramePerception::new(&settings, &lens, field.line_width())?);
         let StreamInfo { topics, expected, synchroniser, attitude, .. } = prelude;
         let lens = lens.parameters().clone();
-        Ok(Self { settings, topics, lens, dimensions, field, perception, expected, synchroniser, attitude })
+        Ok(Self {
+            settings,
+            topics,
+            lens,
+            lens_warning,
+            dimensions,
+            field,
+            perception,
+            expected,
+            synchroniser,
+            attitude,
+        })
     }
 }
 
@@ -123,27 +140,72 @@ struct BodyRange {
     tilt_rad: Option<[f64; 2]>,
 }
 
-/// The lens of the configured file, or else of the log's calibration.
-fn lens(settings: &Settings, prelude: &StreamInfo) -> Result<Lens, SetupError> {
-    let mut parameters: LensParameters = match (&settings.camera.lens, &prelude.camera_info) {
-        (Some(file), _) => load_lens(file)?.lens.parameters().clone(),
-        (None, Some(info)) => lens_of(info, &prelude.topics.camera_info)?,
+/// The lens of the configured file, or else of the log's calibration, for the log's images; with a warning if it was scaled to them.
+///
+/// Where the aspect ratio of the images is another, the lens stays as it is: each of the frames is rejected by its size.
+fn lens(settings: &Settings, prelude: &StreamInfo) -> Result<(Lens, Option<String>), SetupError> {
+    let (origin, mut parameters) = match (&settings.camera.lens, &prelude.camera_info) {
+        (Some(file), _) => (file, lens_of_file(file, prelude.image_size)?),
+        (None, Some(info)) => (&prelude.topics.camera_info, lens_of(info, &prelude.topics.camera_info)?),
         (None, None) => return Err(SetupError::NoMessage { topic: prelude.topics.camera_info.clone() }),
     };
     parameters.fov_deg = settings.camera.fov_deg.or(parameters.fov_deg);
-    Ok(Lens::new(parameters)?)
+    let lens = Lens::new(parameters)?;
+    let stated = [lens.width(), lens.height()];
+    let scaled = prelude.image_size.filter(|size| *size != stated);
+    match scaled.and_then(|size| lens.parameters().scaled_to(size)) {
+        Some(scaled) => {
+            let warning = warnings::scaled_lens(origin, stated, [scaled.width, scaled.height]);
+            Ok((Lens::new(scaled)?, Some(warning)))
+        }
+        None => Ok((lens, None)),
+    }
 }
 
-/// The lens that a calibration message describes.
+/// The lens of a file as it stands there; one that does not state the size of its image gets that of the log's.
+fn lens_of_file(file: &str, image_size: Option<[u32; 2]>) -> Result<LensParameters, SetupError> {
+    let read = match (load_lens(file), image_size) {
+        (Err(ConfigError::Lens { source: LensFileError::ImageSizeUnknown, .. }), Some([width, height])) => {
+            load_lens_for_image(file, width, height)
+        }
+        (read, _) => read,
+    };
+    Ok(read?.lens.parameters().clone())
+}
+
+/// The lens that a calibration message describes: that of the part of the image which the message says is sent.
+///
+/// The matrix is that of the whole image. The region of interest counts in its pixels, and `binning_x` by `binning_y` of them
+/// make one pixel of the image (ros2/common_interfaces, sensor_msgs/msg/CameraInfo.msg).
 fn lens_of(info: &CameraInfo, topic: &str) -> Result<LensParameters, SetupError> {
-    let binned = info.binning_x > 1 || info.binning_y > 1;
+    let whole = lens_from_camera_info(info.width, info.height, &info.distortion_model, &info.d, &info.k)
+        .map_err(|source| SetupError::CameraInfo { topic: topic.to_owned(), source })?;
+    let refused = |what: String| SetupError::CameraInfoPart { topic: topic.to_owned(), what };
     let roi = &info.roi;
-    let whole = (roi.width, roi.height) == (info.width, info.height) || (roi.width, roi.height) == (0, 0);
-    if binned || !whole {
-        return Err(SetupError::CameraInfoPart { topic: topic.to_owned() });
-    }
-    lens_from_camera_info(info.width, info.height, &info.distortion_model, &info.d, &info.k)
-        .map_err(|source| SetupError::CameraInfo { topic: topic.to_owned(), source })
+    let is_whole = (roi.x_offset, roi.y_offset, roi.width, roi.height) == (0, 0, 0, 0);
+    let part = if is_whole {
+        whole
+    } else {
+        let fits =
+            |offset: u32, size: u32, all: u32| size > 0 && offset.checked_add(size).is_some_and(|end| end <= all);
+        if !fits(roi.x_offset, roi.width, info.width) || !fits(roi.y_offset, roi.height, info.height) {
+            let (width, height) = (info.width, info.height);
+            return Err(refused(format!(
+                "roi is {} x {} pixels from column {}, row {}: it must lie within width x height, {width} x {height}, or be all 0",
+                roi.width, roi.height, roi.x_offset, roi.y_offset
+            )));
+        }
+        whole.cropped([roi.x_offset, roi.y_offset], [roi.width, roi.height])
+    };
+    // 0 means the same as 1.
+    let [x, y] = [info.binning_x, info.binning_y].map(|factor| factor.max(1));
+    let sent = if [x, y] == [1, 1] { Some(part) } else { part.binned([x, y]) };
+    let sent =
+        sent.ok_or_else(|| refused(format!("binning_x, binning_y are {x}, {y}: no pixel is left of the image")))?;
+    // Its numbers are judged here, under its name, before the settings add their field of view.
+    let lens = Lens::new(sent)
+        .map_err(|error| SetupError::CameraInfo { topic: topic.to_owned(), source: LensFileError::from(error) })?;
+    Ok(lens.parameters().clone())
 }
 
 fn field(settings: &Settings) -> Result<(Field, FieldDimensions), SetupError> {

@@ -131,6 +131,15 @@ pub fn wrong_lens(off: &LensOff) -> Option<String> {
     })
 }
 
+/// Warns that the lens was scaled to images of another size: right if they were scaled, wrong if they were cut.
+pub fn scaled_lens(origin: &str, stated: [u32; 2], image: [u32; 2]) -> String {
+    let [[width, height], [to_width, to_height]] = [stated, image];
+    format!(
+        "{origin}: the lens is for images of {width} x {height}, but these have {to_width} x {to_height}: it was scaled to them. \
+         If they are a part of the larger image, give a lens file of the part"
+    )
+}
+
 /// Warns of particle weights that were NaN or +inf. They are a fault of this program and were left out.
 pub fn unusable_weights(count: u64) -> Option<String> {
     (count > 0).then(|| {

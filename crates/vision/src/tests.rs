@@ -41,11 +41,16 @@ fn lens(model: LensModel, focal: f64, fov_deg: Option<f64>) -> Lens {
     Lens::new(parameters).expect("a good lens")
 }
 
-fn lenses() -> [(&'static str, Lens); 3] {
+fn lenses() -> [(&'static str, Lens); 5] {
     [
         ("fisheye", lens(LensModel::KannalaBrandt { k: [-0.012, 0.003, -0.0008, 0.0] }, 205.0, Some(200.0))),
         ("equisolid", lens(LensModel::Equisolid, 214.0, Some(190.0))),
         ("wide", lens(LensModel::PlumbBob { d: [-0.28, 0.07, 0.0, 0.0, 0.0] }, 353.0, None)),
+        (
+            "rational",
+            lens(LensModel::RationalPolynomial { d: [4.1, -2.3, 0.0011, -0.0007, 0.31, 4.3, -0.7, -0.2] }, 353.0, None),
+        ),
+        ("double sphere", lens(LensModel::DoubleSphere { xi: -0.2, alpha: 0.6 }, 160.0, Some(200.0))),
     ]
 }
 

@@ -21,6 +21,9 @@ use crate::walks::{SCENE, options, replayed};
 const ROBOT: &str = include_str!("../../../config/robot.toml");
 const FIELDS: [&str; 2] =
     [include_str!("../../../config/fields/kid-2009.toml"), include_str!("../../../config/fields/kid-2020.toml")];
+const OPENCV: &str = include_str!("../../data/lenses/opencv-12.xml");
+const OCAM: &str = include_str!("../../data/lenses/calib_results.txt");
+const MRCAL: &str = include_str!("../../data/lenses/camera.cameramodel");
 /// Of the walks' camera.
 pub const CALIBRATED: &str = "image_width: 320\nimage_height: 240\ncamera_name: test\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: \
     [102.5, 0, 160.75, 0, 102.5, 117.75, 0, 0, 1]\ndistortion_model: equidistant\ndistortion_coefficients:\n  rows: 1\n  cols: \
@@ -68,7 +71,7 @@ fn walk_with(case: &mut Case, settings: Settings, own_lens: bool) -> Outcome {
 }
 
 pub fn lens(case: &mut Case) -> Outcome {
-    let sound = *case.draw.one_of(&[LENS, LENS, CALIBRATED, CALIBRATED, ROS, KALIBR, VISUAL_MESH]);
+    let sound = *case.draw.one_of(&[LENS, LENS, CALIBRATED, CALIBRATED, ROS, KALIBR, VISUAL_MESH, OPENCV, OCAM, MRCAL]);
     let bytes = damaged(case, sound);
     let path = case.write(if sound == LENS { "lens.toml" } else { "lens.yaml" }, &bytes);
     let Ok(text) = String::from_utf8(bytes) else { return Ok(Taken::Refused) };

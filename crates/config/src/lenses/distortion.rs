@@ -22,8 +22,15 @@ impl DistortionKeys {
             ("plumb_bob", _) => {
                 Err(self.coefficient_error(d, "plumb_bob takes 4 (k1, k2, p1, p2), 5 (and k3) or none"))
             }
-            ("equidistant", d) => self.equidistant(d),
-            // ROS has no such name: this program writes it for an ideal equisolid lens.
+            // Some drivers call OpenCV's fisheye by its name there.
+            ("equidistant" | "fisheye", d) => self.equidistant(d),
+            // ROS has no name for these four: this program writes them (`CameraInfo::of_lens`).
+            ("double_sphere", &[xi, alpha]) => Ok(LensModel::DoubleSphere { xi, alpha }),
+            ("double_sphere", _) => Err(self.coefficient_error(d, "double_sphere takes 2: xi, alpha")),
+            ("eucm", &[alpha, beta]) => Ok(LensModel::Eucm { alpha, beta }),
+            ("scaramuzza", &[c2, c3, c4, c5, c6, skew]) => Ok(LensModel::Scaramuzza { c: [c2, c3, c4, c5, c6], skew }),
+            ("scaramuzza", _) => Err(self.coefficient_error(d, "scaramuzza takes 6: c2 to c6, skew")),
+            ("eucm", _) => Err(self.coefficient_error(d, "eucm takes 2: alpha, beta")),
             ("equisolid", []) => Ok(LensModel::Equisolid),
             ("equisolid", _) => Err(self.coefficient_error(d, "equisolid takes no coefficients")),
             ("rational_polynomial", []) => Ok(LensModel::PlumbBob { d: [0.0; 5] }),
@@ -31,13 +38,27 @@ impl DistortionKeys {
             ("rational_polynomial", &[k1, k2, p1, p2, k3, ref rest @ ..]) if rest.iter().all(|c| *c == 0.0) => {
                 Ok(LensModel::PlumbBob { d: [k1, k2, p1, p2, k3] })
             }
-            ("rational_polynomial", _) => {
-                let expected = "it is not supported unless k4, k5 and k6 are 0: calibrate as plumb_bob (wide) or \
-                                equidistant (fisheye)";
-                Err(LensFileError::value(self.model, "\"rational_polynomial\"", expected))
+            ("rational_polynomial", d) if [8, 12, 14].contains(&d.len()) => self.opencv(d),
+            ("rational_polynomial", _) => Err(self.coefficient_error(
+                d,
+                "rational_polynomial takes 8 (k1, k2, p1, p2, k3 to k6), 12 (and s1 to s4), 14 (and a tilt of 0) or none",
+            )),
+            ("thin_prism", d) if [12, 14].contains(&d.len()) => self.opencv(d),
+            ("thin_prism", _) => {
+                Err(self.coefficient_error(d, "thin_prism takes 12: k1, k2, p1, p2, k3 to k6, s1 to s4"))
             }
-            (other, _) => Err(self.unknown_model(other, "it must be \"plumb_bob\" or \"equidistant\"")),
+            (other, _) => {
+                let expected = "it must be \"plumb_bob\", \"rational_polynomial\", \"thin_prism\", \"equidistant\" or \
+                                \"fisheye\"";
+                Err(self.unknown_model(other, expected))
+            }
         }
+    }
+
+    /// Makes a pinhole lens of OpenCV's coefficients.
+    fn opencv(&self, d: &[f64]) -> Result<LensModel, LensFileError> {
+        let expected = "its last two, the tilt of the sensor, must be 0: calibrate without a tilted sensor";
+        LensModel::of_opencv(d).ok_or_else(|| self.coefficient_error(d, expected))
     }
 
     /// Converts a model as Kalibr names it.

@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::distortion::DistortionKeys;
 use super::{Content, LensFileError, LensFormat, yaml};
-use realitysim_geometry::LensParameters;
+use realitysim_geometry::{LensModel, LensParameters};
 
 /// One camera of the file, with the keys that are read.
 #[derive(Deserialize)]
@@ -39,17 +39,41 @@ pub(super) fn read(text: &str, wanted: &str) -> Result<Content, LensFileError> {
 }
 
 fn parameters(camera: &Camera) -> Result<LensParameters, LensFileError> {
-    if camera.camera_model != "pinhole" {
-        let expected = "only \"pinhole\" is supported, with radtan (wide) or equidistant (fisheye) distortion";
-        return Err(LensFileError::value("camera_model", format_args!("{:?}", camera.camera_model), expected));
-    }
-    let &[fx, fy, cx, cy] = camera.intrinsics.as_slice() else {
-        let found = format_args!("{:?}", camera.intrinsics).to_string();
-        return Err(LensFileError::value("intrinsics", found, "a pinhole has four numbers: fx, fy, cx, cy"));
+    let wrong = |expected: &str| LensFileError::value("intrinsics", format_args!("{:?}", camera.intrinsics), expected);
+    let (model, [fx, fy, cx, cy]) = match (camera.camera_model.as_str(), camera.intrinsics.as_slice()) {
+        ("pinhole", &[fx, fy, cx, cy]) => {
+            (KEYS.kalibr(&camera.distortion_model, &camera.distortion_coeffs)?, [fx, fy, cx, cy])
+        }
+        ("pinhole", _) => return Err(wrong("a pinhole has four numbers: fx, fy, cx, cy")),
+        ("ds", &[xi, alpha, fx, fy, cx, cy]) => {
+            check_undistorted(camera)?;
+            (LensModel::DoubleSphere { xi, alpha }, [fx, fy, cx, cy])
+        }
+        ("ds", _) => return Err(wrong("a double sphere has six numbers: xi, alpha, fx, fy, cx, cy")),
+        ("eucm", &[alpha, beta, fx, fy, cx, cy]) => {
+            check_undistorted(camera)?;
+            (LensModel::Eucm { alpha, beta }, [fx, fy, cx, cy])
+        }
+        ("eucm", _) => return Err(wrong("an enhanced unified camera has six numbers: alpha, beta, fx, fy, cx, cy")),
+        (other, _) => {
+            let expected = "supported are pinhole (with radtan or equidistant distortion), ds and eucm; calibrate an omni lens \
+                            as ds-none or pinhole-equi";
+            return Err(LensFileError::value("camera_model", format_args!("{other:?}"), expected));
+        }
     };
     let [width, height] = camera.resolution;
-    let model = KEYS.kalibr(&camera.distortion_model, &camera.distortion_coeffs)?;
     Ok(LensParameters { width, height, fx, fy, cx, cy, model, fov_deg: None })
+}
+
+/// Refuses a distortion beside a model that bends rays by itself.
+fn check_undistorted(camera: &Camera) -> Result<(), LensFileError> {
+    match (camera.distortion_model.as_str(), &camera.distortion_coeffs) {
+        ("none", d) if d.iter().all(|c| *c == 0.0) => Ok(()),
+        (model, _) => {
+            let expected = format!("{} is supported with \"none\" and no coefficients", camera.camera_model);
+            Err(LensFileError::value("distortion_model", format_args!("{model:?}"), expected))
+        }
+    }
 }
 
 /// Puts the name of the camera before the key of an error.

@@ -1,10 +1,13 @@
-//! Lens files of four formats, told apart by their content: this crate's own TOML, ROS camera_calibration YAML, Kalibr
-//! camchain YAML and VisualMesh YAML.
+//! Lens files, told apart by their content ([`LensFormat`]), and lenses of which only the angle of view is known.
 //!
 //! Each file in `config/cameras` is built into the program as a camera of that name.
 
 mod distortion;
+mod field_of_view;
 mod kalibr;
+mod mrcal;
+mod ocam;
+mod opencv;
 mod own;
 mod ros;
 mod visual_mesh;
@@ -14,6 +17,8 @@ use std::path::{Path, PathBuf};
 
 use include_dir::{Dir, include_dir};
 use serde::de::{DeserializeOwned, IgnoredAny};
+
+use field_of_view::FieldOfView;
 
 use super::source::{Shipped, Source};
 use super::{ConfigError, LensFileError};
@@ -33,6 +38,8 @@ pub struct LensFile {
     pub format: LensFormat,
     /// The checked lens.
     pub lens: Lens,
+    /// Width and height that the file states, pixels, if the lens was scaled from them to those of the image.
+    pub scaled_from: Option<[u32; 2]>,
     /// Pose of the camera, which only a VisualMesh file states.
     pub visual_mesh_pose: Option<VisualMeshPose>,
 }
@@ -48,6 +55,14 @@ pub enum LensFormat {
     Kalibr,
     /// YAML beside the images of VisualMesh.
     VisualMesh,
+    /// YAML or XML of OpenCV's `FileStorage`.
+    OpenCv,
+    /// `calib_results.txt` of OCamCalib.
+    OCamCalib,
+    /// `.cameramodel` of mrcal.
+    Mrcal,
+    /// No file: a model with a field of view, as in `equidistant:180deg`.
+    FieldOfView,
 }
 
 /// The pose of the camera that a VisualMesh file states as `Hoc`.
@@ -63,7 +78,9 @@ pub struct VisualMeshPose {
 pub struct LensWanted<'a> {
     /// Name of the camera in a Kalibr file; `None` takes `cam0`.
     pub camera: Option<&'a str>,
-    /// Width and height of the image that the lens is for, pixels. A VisualMesh file needs it; the others must agree with it.
+    /// Width and height of the image that the lens is for, pixels.
+    ///
+    /// Files that do not state their size need it. The lens of others is scaled to it, if the aspect ratio is the same.
     pub image_size: Option<[u32; 2]>,
 }
 
@@ -79,7 +96,8 @@ pub fn load_lens(path_or_name: &str) -> Result<LensFile, ConfigError> {
 
 /// Loads the lens for an image of `width` by `height` pixels.
 ///
-/// A VisualMesh file does not state its image size, so it can only be loaded this way. Every other format must agree.
+/// VisualMesh files, some of OpenCV and `equidistant:180deg` do not state their image size, so they can only be loaded this way.
+/// The lens of any other is scaled to the image, unless the aspect ratio differs.
 pub fn load_lens_for_image(path_or_name: &str, width: u32, height: u32) -> Result<LensFile, ConfigError> {
     load(path_or_name, Some([width, height]))
 }
@@ -98,22 +116,38 @@ pub fn lens_file(path_or_name: &str) -> Option<PathBuf> {
 
 fn load(path_or_name: &str, image_size: Option<[u32; 2]>) -> Result<LensFile, ConfigError> {
     let (path, camera) = split_camera(path_or_name);
+    if SHIPPED.file(path).is_none()
+        && let Some(view) = FieldOfView::parse(path_or_name)
+    {
+        return checked(path_or_name, image_size, || view?.content(image_size));
+    }
     let Source { name, text } = SHIPPED.load(path)?;
     parse_lens(&text, &name, LensWanted { camera, image_size })
 }
 
 /// Parses and checks the text of a lens file. Error messages show `name`.
 pub fn parse_lens(text: &str, name: &str, wanted: LensWanted) -> Result<LensFile, ConfigError> {
+    checked(name, wanted.image_size, || read_content(text, wanted))
+}
+
+/// Scales the lens to its image and checks it.
+fn checked(
+    name: &str,
+    image_size: Option<[u32; 2]>,
+    content: impl FnOnce() -> Result<Content, LensFileError>,
+) -> Result<LensFile, ConfigError> {
     let read = || -> Result<LensFile, LensFileError> {
-        let content = read_content(text, wanted)?;
-        if let Some(image) = wanted.image_size {
-            let file = [content.parameters.width, content.parameters.height];
-            if file != image {
-                return Err(LensFileError::ImageSize { file, image });
-            }
+        let Content { title, format, parameters, visual_mesh_pose } = content()?;
+        let file = [parameters.width, parameters.height];
+        let image = image_size.unwrap_or(file);
+        // The file is judged by its own numbers.
+        let mut lens = Lens::new(parameters)?;
+        let scaled_from = (image != file).then_some(file);
+        if scaled_from.is_some() {
+            let scaled = lens.parameters().scaled_to(image).ok_or(LensFileError::ImageSize { file, image })?;
+            lens = Lens::new(scaled)?;
         }
-        let Content { title, format, parameters, visual_mesh_pose } = content;
-        Ok(LensFile { title, format, lens: Lens::new(parameters)?, visual_mesh_pose })
+        Ok(LensFile { title, format, lens, scaled_from, visual_mesh_pose })
     };
     read().map_err(|source| ConfigError::Lens { file: name.to_owned(), source })
 }
@@ -137,18 +171,34 @@ fn read_content(text: &str, wanted: LensWanted) -> Result<Content, LensFileError
         LensFormat::Ros => ros::read(text),
         LensFormat::Kalibr => kalibr::read(text, wanted.camera.unwrap_or("cam0")),
         LensFormat::VisualMesh => visual_mesh::read(text, wanted.image_size),
+        LensFormat::OpenCv => opencv::read(text, wanted.image_size),
+        LensFormat::OCamCalib => ocam::read(text),
+        LensFormat::Mrcal => mrcal::read(text),
+        // No text is of this format.
+        LensFormat::FieldOfView => Err(LensFileError::UnknownFormat),
     }
 }
 
 /// Tells the format of a lens file by its first line and its keys.
 fn detect_format(text: &str) -> Result<LensFormat, LensFileError> {
+    if ocam::is_ocam(text) {
+        return Ok(LensFormat::OCamCalib);
+    }
+    if mrcal::is_mrcal(text) {
+        return Ok(LensFormat::Mrcal);
+    }
+    if opencv::is_xml(text) {
+        return Ok(LensFormat::OpenCv);
+    }
     if looks_like_toml(text) {
         return Ok(LensFormat::Own);
     }
     let keys: BTreeMap<String, IgnoredAny> = yaml(text)?;
     let has = |key| keys.contains_key(key);
-    if has("image_width") || has("camera_matrix") {
+    if has("distortion_model") && (has("image_width") || has("camera_matrix")) {
         Ok(LensFormat::Ros)
+    } else if opencv::KEYS.into_iter().any(has) || has("image_width") {
+        Ok(LensFormat::OpenCv)
     } else if keys.keys().any(|key| is_camera_key(key)) {
         Ok(LensFormat::Kalibr)
     } else if has("projection") || has("focal_length") {
@@ -164,8 +214,12 @@ fn looks_like_toml(text: &str) -> bool {
     line.starts_with('[') || line.split_once('=').is_some_and(|(key, _)| !key.contains(':'))
 }
 
-/// Parses YAML.
+/// Parses YAML. OpenCV begins it with `%YAML:1.0`, which the standard does not know.
 fn yaml<T: DeserializeOwned>(text: &str) -> Result<T, LensFileError> {
+    let text = match text.split_once('\n') {
+        Some((first, rest)) if first.starts_with("%YAML:") => rest,
+        _ => text,
+    };
     serde_saphyr::from_str(text).map_err(|error| LensFileError::Syntax(error.to_string().trim_end().to_owned()))
 }
 
@@ -181,3 +235,6 @@ fn split_camera(path: &str) -> (&str, Option<&str>) {
 fn is_camera_key(key: &str) -> bool {
     key.strip_prefix("cam").is_some_and(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()))
 }
+
+#[cfg(test)]
+mod tests;

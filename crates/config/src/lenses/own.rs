@@ -20,6 +20,11 @@ struct File {
     model: String,
     k: Option<Vec<f64>>,
     d: Option<Vec<f64>>,
+    xi: Option<f64>,
+    alpha: Option<f64>,
+    beta: Option<f64>,
+    c: Option<Vec<f64>>,
+    skew: Option<f64>,
     fov_deg: Option<f64>,
 }
 
@@ -39,34 +44,74 @@ pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
     Ok(Content { title: file.title, format: LensFormat::Own, parameters, visual_mesh_pose: None })
 }
 
+/// The coefficients that a model takes; the others are a mistake in the file.
 fn model(file: &File) -> Result<LensModel, LensFileError> {
-    match file.model.as_str() {
+    let name = file.model.as_str();
+    let takes: &[&str] = match name {
+        "kannala_brandt" => &["k"],
+        "plumb_bob" | "rational_polynomial" | "thin_prism" => &["d"],
+        "equisolid" => &[],
+        "double_sphere" => &["xi", "alpha"],
+        "eucm" => &["alpha", "beta"],
+        "scaramuzza" => &["c", "skew"],
+        other => {
+            let expected = "it must be \"kannala_brandt\", \"equisolid\", \"plumb_bob\", \"rational_polynomial\", \
+                            \"thin_prism\", \"double_sphere\", \"eucm\" or \"scaramuzza\"";
+            return Err(LensFileError::value("model", format_args!("{other:?}"), expected));
+        }
+    };
+    file.check_absent(name, takes)?;
+    match name {
         "kannala_brandt" => {
-            check_absent("d", &file.d, "kannala_brandt takes k")?;
             Ok(LensModel::KannalaBrandt { k: take_coefficients("k", &file.k, "four numbers, k1 to k4")? })
         }
         "plumb_bob" => {
-            check_absent("k", &file.k, "plumb_bob takes d")?;
             Ok(LensModel::PlumbBob { d: take_coefficients("d", &file.d, "five numbers, k1, k2, p1, p2, k3")? })
         }
-        "equisolid" => {
-            check_absent("k", &file.k, "equisolid takes no coefficients")?;
-            check_absent("d", &file.d, "equisolid takes no coefficients")?;
-            Ok(LensModel::Equisolid)
+        "rational_polynomial" => {
+            let d: [f64; 8] = take_coefficients("d", &file.d, "eight numbers, k1, k2, p1, p2, k3 to k6")?;
+            Ok(LensModel::of_opencv(&d).unwrap_or(LensModel::RationalPolynomial { d }))
         }
-        other => {
-            let expected = "it must be \"kannala_brandt\", \"equisolid\" or \"plumb_bob\"";
-            Err(LensFileError::value("model", format_args!("{other:?}"), expected))
+        "thin_prism" => {
+            let d: [f64; 12] = take_coefficients("d", &file.d, "twelve numbers, k1, k2, p1, p2, k3 to k6, s1 to s4")?;
+            Ok(LensModel::of_opencv(&d).unwrap_or(LensModel::ThinPrism { d }))
         }
+        "double_sphere" => Ok(LensModel::DoubleSphere { xi: take("xi", file.xi)?, alpha: take("alpha", file.alpha)? }),
+        "eucm" => Ok(LensModel::Eucm { alpha: take("alpha", file.alpha)?, beta: take("beta", file.beta)? }),
+        "scaramuzza" => {
+            let c = take_coefficients("c", &file.c, "five numbers, c2 to c6")?;
+            Ok(LensModel::Scaramuzza { c, skew: take("skew", file.skew)? })
+        }
+        _ => Ok(LensModel::Equisolid),
     }
 }
 
-/// Refuses coefficients that the model would ignore: they are a mistake in the file.
-fn check_absent(key: &str, value: &Option<Vec<f64>>, expected: &str) -> Result<(), LensFileError> {
-    match value {
-        None => Ok(()),
-        Some(found) => Err(LensFileError::value(key, format_args!("{found:?}"), format!("{expected}: remove it"))),
+impl File {
+    /// Refuses coefficients that the model would ignore.
+    fn check_absent(&self, model: &str, takes: &[&str]) -> Result<(), LensFileError> {
+        let list = |value: &Option<Vec<f64>>| value.as_ref().map(|found| format!("{found:?}"));
+        let number = |value: Option<f64>| value.map(|found| format!("{found:?}"));
+        let given = [
+            ("k", list(&self.k)),
+            ("d", list(&self.d)),
+            ("xi", number(self.xi)),
+            ("alpha", number(self.alpha)),
+            ("beta", number(self.beta)),
+            ("c", list(&self.c)),
+            ("skew", number(self.skew)),
+        ];
+        let wrong = given
+            .into_iter()
+            .find_map(|(key, found)| found.filter(|_| !takes.contains(&key)).map(|found| (key, found)));
+        let Some((key, found)) = wrong else { return Ok(()) };
+        let taken = if takes.is_empty() { "no coefficients".to_owned() } else { takes.join(" and ") };
+        Err(LensFileError::value(key, found, format!("{model} takes {taken}: remove it")))
     }
+}
+
+/// Takes a number that must be there.
+fn take(key: &str, value: Option<f64>) -> Result<f64, LensFileError> {
+    value.ok_or_else(|| LensFileError::Missing { key: key.into(), expected: "the model needs this number".into() })
 }
 
 /// Takes exactly `N` coefficients.

@@ -19,15 +19,15 @@ struct File {
 
 /// A matrix, row by row.
 #[derive(Deserialize)]
-struct Matrix {
-    data: Vec<f64>,
+pub(super) struct Matrix {
+    pub data: Vec<f64>,
 }
 
 /// Converts the fields of a `sensor_msgs/CameraInfo` to the parameters of a lens.
 ///
 /// `width` and `height` are pixels, `k` is the 3 x 3 intrinsic matrix, row by row, and `d` the distortion. The result is not
-/// fully checked: [`realitysim_geometry::Lens::new`] does the rest. A binned or cut image (`binning_x`, `roi`) has another
-/// lens, so the caller must refuse it.
+/// fully checked: [`realitysim_geometry::Lens::new`] does the rest. It is the lens of the whole image, of which a binned or cut
+/// one (`binning_x`, `roi`) shows a part ([`LensParameters::cropped`], [`LensParameters::binned`]).
 ///
 /// # Errors
 ///
@@ -46,14 +46,11 @@ pub fn lens_from_camera_info(
 /// Reads a YAML file of camera_calibration.
 pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
     let file: File = yaml(text)?;
-    let key = "camera_matrix.data";
-    let Ok(matrix) = <&[f64; 9]>::try_from(file.camera_matrix.data.as_slice()) else {
-        let count = format!("{} numbers", file.camera_matrix.data.len());
-        return Err(LensFileError::value(key, count, "it must have 9: fx, 0, cx, 0, fy, cy, 0, 0, 1"));
-    };
     let keys = DistortionKeys { model: "distortion_model", coefficients: "distortion_coefficients.data" };
     let d = file.distortion_coefficients.map(|matrix| matrix.data).unwrap_or_default();
-    let parameters = parameters([file.image_width, file.image_height], key, matrix, &keys, &file.distortion_model, &d)?;
+    let size = [file.image_width, file.image_height];
+    let parameters =
+        parameters(size, "camera_matrix.data", &file.camera_matrix.data, &keys, &file.distortion_model, &d)?;
     let title = file.camera_name.unwrap_or_else(|| "ROS camera".into());
     Ok(Content { title, format: LensFormat::Ros, parameters, visual_mesh_pose: None })
 }
@@ -62,25 +59,32 @@ pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
 fn parameters(
     [width, height]: [u32; 2],
     matrix_key: &str,
-    matrix: &[f64; 9],
+    matrix: &[f64],
     keys: &DistortionKeys,
     model: &str,
     d: &[f64],
 ) -> Result<LensParameters, LensFileError> {
-    let &[fx, skew, cx, below_fx, fy, cy, bottom @ ..] = matrix;
+    let [fx, fy, cx, cy] = intrinsics(matrix_key, matrix)?;
+    Ok(LensParameters { width, height, fx, fy, cx, cy, model: keys.ros(model, d)?, fov_deg: None })
+}
+
+/// Takes fx, fy, cx and cy of a 3 x 3 matrix, row by row, that has nothing else; errors call it `matrix_key`.
+pub(super) fn intrinsics(matrix_key: &str, matrix: &[f64]) -> Result<[f64; 4], LensFileError> {
+    let &[fx, skew, cx, below_fx, fy, cy, b0, b1, b2] = matrix else {
+        let count = format!("{} numbers", matrix.len());
+        return Err(LensFileError::value(matrix_key, count, "it must have 9: fx, 0, cx, 0, fy, cy, 0, 0, 1"));
+    };
     for (index, focal) in [(0, fx), (4, fy)] {
         if focal == 0.0 {
             let expected = "a focal length is above 0 pixels; zero says that the camera has not been calibrated";
             return Err(LensFileError::value(format!("{matrix_key}[{index}]"), focal, expected));
         }
     }
-    for (index, value, wanted) in
-        [(1, skew, 0.0), (3, below_fx, 0.0), (6, bottom[0], 0.0), (7, bottom[1], 0.0), (8, bottom[2], 1.0)]
-    {
+    for (index, value, wanted) in [(1, skew, 0.0), (3, below_fx, 0.0), (6, b0, 0.0), (7, b1, 0.0), (8, b2, 1.0)] {
         if value != wanted {
             let expected = format!("it must be {wanted}: no supported lens has skew or a scaled matrix");
             return Err(LensFileError::value(format!("{matrix_key}[{index}]"), value, expected));
         }
     }
-    Ok(LensParameters { width, height, fx, fy, cx, cy, model: keys.ros(model, d)?, fov_deg: None })
+    Ok([fx, fy, cx, cy])
 }

@@ -8,7 +8,7 @@ use super::check_range;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CameraSettings {
-    /// Name of a shipped camera (`config/cameras`), or path of a lens file; it takes the place of the log's `camera_info`.
+    /// Name of a shipped camera (`config/cameras`), path of a lens file, or `equidistant:180deg`; it takes the place of the log's `camera_info`.
     pub lens: Option<String>,
     /// Full angle of view, degrees; it takes the place of the one in the lens file. A `camera_info` states none.
     pub fov_deg: Option<f64>,

@@ -10,7 +10,7 @@ use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use pinhole::PlumbBob;
+use pinhole::Pinhole;
 pub use projector::Projector;
 use radial::Radial;
 
@@ -74,6 +74,60 @@ pub enum LensModel {
         /// Coefficients k1, k2, p1, p2, k3: k radial, p tangential.
         d: [f64; 5],
     },
+    /// Pinhole with OpenCV's rational distortion, ROS `rational_polynomial`.
+    RationalPolynomial {
+        /// Coefficients k1, k2, p1, p2, k3, k4, k5, k6: k4 to k6 stand in the denominator.
+        d: [f64; 8],
+    },
+    /// Pinhole with OpenCV's rational and thin prism distortion.
+    ThinPrism {
+        /// Coefficients of [`Self::RationalPolynomial`], then s1, s2, s3, s4.
+        d: [f64; 12],
+    },
+    /// Usenko, Demmel and Cremers 2018: r = sin theta / (alpha d + (1 - alpha) (xi + cos theta)), where
+    /// d^2 = sin^2 theta + (xi + cos theta)^2.
+    DoubleSphere {
+        /// Distance of the spheres' centres, -1 to 1.
+        xi: f64,
+        /// Blend from a pinhole (0) to an orthographic image (1) of the second sphere.
+        alpha: f64,
+    },
+    /// Enhanced unified camera model, Khomutenko, Garcia and Martinet 2016:
+    /// r = sin theta / (alpha d + (1 - alpha) cos theta), where d^2 = beta sin^2 theta + cos^2 theta.
+    Eucm {
+        /// Blend from a pinhole (0) to an orthographic image (1).
+        alpha: f64,
+        /// Shape of the surface, above 0; 1 is a sphere.
+        beta: f64,
+    },
+    /// Scaramuzza, Martinelli and Siegwart 2006 (OCamCalib): theta = atan2(r, 1 + c2 r^2 + c3 r^3 + c4 r^4 + c5 r^5 + c6 r^6).
+    Scaramuzza {
+        /// Coefficients c2 to c6.
+        c: [f64; 5],
+        /// What a point's row adds to its column, both in focal lengths: the skew of the camera's matrix over fx.
+        skew: f64,
+    },
+}
+
+impl LensModel {
+    /// The simplest pinhole model with the given coefficients in OpenCV's order, k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tau_x tau_y.
+    ///
+    /// Missing coefficients are 0. `None` if there are more than 14, or if the sensor is tilted (tau), which no model here has.
+    pub fn of_opencv(d: &[f64]) -> Option<Self> {
+        let mut all = [0.0; 14];
+        all.get_mut(..d.len())?.copy_from_slice(d);
+        let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau @ ..] = all;
+        if tau != [0.0; 2] {
+            return None;
+        }
+        Some(if [s1, s2, s3, s4] != [0.0; 4] {
+            Self::ThinPrism { d: [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] }
+        } else if [k4, k5, k6] != [0.0; 3] {
+            Self::RationalPolynomial { d: [k1, k2, p1, p2, k3, k4, k5, k6] }
+        } else {
+            Self::PlumbBob { d: [k1, k2, p1, p2, k3] }
+        })
+    }
 }
 
 impl LensParameters {
@@ -102,6 +156,34 @@ impl LensParameters {
             cy: centre(self.cy, y),
             ..self.clone()
         }
+    }
+}
+
+impl LensParameters {
+    /// The same lens for its images scaled to `[width, height]` pixels; `None` if the aspect ratio is another.
+    ///
+    /// It is the same if the factor of one side gives the other within a pixel.
+    pub fn scaled_to(&self, [width, height]: [u32; 2]) -> Option<Self> {
+        let off = |side: u32, own: u32, other: u32, other_own: u32| {
+            (f64::from(other) - f64::from(other_own) * f64::from(side) / f64::from(own)).abs()
+        };
+        let nearest = off(width, self.width, height, self.height).min(off(height, self.height, width, self.width));
+        (nearest <= 1.0).then(|| self.resized([Some(width), Some(height)]))
+    }
+
+    /// The lens of a part of its images that begins at `offset` (column, row) and has the size `[width, height]`, pixels.
+    pub fn cropped(&self, offset: [u32; 2], [width, height]: [u32; 2]) -> Self {
+        let [cx, cy] = [self.cx - f64::from(offset[0]), self.cy - f64::from(offset[1])];
+        Self { width, height, cx, cy, ..self.clone() }
+    }
+
+    /// The lens of images whose pixels are made of `factors[0]` by `factors[1]` of its own, at least 1 each.
+    ///
+    /// Columns and rows that do not fill a pixel are cut off. `None` if nothing is left.
+    pub fn binned(&self, factors: [u32; 2]) -> Option<Self> {
+        let [width, height] = [self.width.checked_div(factors[0])?, self.height.checked_div(factors[1])?];
+        let filled = [width.checked_mul(factors[0])?, height.checked_mul(factors[1])?];
+        (width > 0 && height > 0).then(|| self.cropped([0, 0], filled).resized([Some(width), Some(height)]))
     }
 }
 
@@ -145,6 +227,16 @@ pub enum LensError {
         /// The refused value.
         value: f64,
     },
+    /// A coefficient is outside the range of its model.
+    #[error("{name} is {value}: it must be {expected}")]
+    Coefficient {
+        /// Name of the coefficient, such as `xi`.
+        name: &'static str,
+        /// The refused value.
+        value: f64,
+        /// Range that is possible.
+        expected: &'static str,
+    },
     /// The stated field of view is out of the model's range.
     #[error("field of view {fov_deg} deg: it must be above 0 and at most {max_deg} deg for this model")]
     Fov {
@@ -153,13 +245,13 @@ pub enum LensError {
         /// The largest field of view of the model, degrees.
         max_deg: f64,
     },
-    /// The distortion polynomial is not monotonic in the stated field of view.
+    /// The model is not monotonic in the stated field of view.
     #[error(
-        "the distortion polynomial turns back at {at_deg:.2} deg off the axis, inside the stated field of view of \
+        "the distortion turns back at {at_deg:.2} deg off the axis, inside the stated field of view of \
          {fov_deg} deg: check the coefficients, or state a field of view below {:.1} deg", 2.0 * at_deg
     )]
     NotMonotonic {
-        /// Angle off the axis at which the polynomial turns back, degrees.
+        /// Angle off the axis at which the model turns back, degrees.
         at_deg: f64,
         /// The stated full field of view, degrees.
         fov_deg: f64,
@@ -194,7 +286,7 @@ pub struct Lens {
 #[derive(Clone, Debug, PartialEq)]
 enum Curve {
     Radial(Radial),
-    PlumbBob(PlumbBob),
+    Pinhole(Pinhole),
 }
 
 impl Lens {
@@ -222,7 +314,12 @@ impl Lens {
         let curve = match p.model {
             LensModel::KannalaBrandt { k } => Curve::Radial(Radial::kannala_brandt(k, reach, p.fov_deg)?),
             LensModel::Equisolid => Curve::Radial(Radial::equisolid(reach, p.fov_deg)?),
-            LensModel::PlumbBob { d } => Curve::PlumbBob(PlumbBob::new(d, reach, p.fov_deg)?),
+            LensModel::PlumbBob { d } => Curve::Pinhole(Pinhole::plumb_bob(d, reach, p.fov_deg)?),
+            LensModel::RationalPolynomial { d } => Curve::Pinhole(Pinhole::rational(&d, reach, p.fov_deg)?),
+            LensModel::ThinPrism { d } => Curve::Pinhole(Pinhole::rational(&d, reach, p.fov_deg)?),
+            LensModel::DoubleSphere { xi, alpha } => Curve::Radial(Radial::double_sphere(xi, alpha, reach, p.fov_deg)?),
+            LensModel::Eucm { alpha, beta } => Curve::Radial(Radial::eucm(alpha, beta, reach, p.fov_deg)?),
+            LensModel::Scaramuzza { c, skew } => Curve::Radial(Radial::scaramuzza(c, skew, reach, p.fov_deg)?),
         };
         Ok(Self { parameters, curve })
     }
@@ -242,16 +339,22 @@ impl Lens {
         self.parameters.height
     }
 
-    /// Focal length, the mean of fx and fy: pixels per radian on the axis.
+    /// Pixels per radian on the axis, the mean of both directions.
+    ///
+    /// That is the focal length (fx + fy) / 2, but for a double sphere lens, whose radius grows by 1 / (1 + xi) of it.
     pub fn focal(&self) -> f64 {
-        (self.parameters.fx + self.parameters.fy) / 2.0
+        let focal_px = (self.parameters.fx + self.parameters.fy) / 2.0;
+        match &self.curve {
+            Curve::Radial(radial) => focal_px * radial.slope_on_axis(),
+            Curve::Pinhole(_) => focal_px,
+        }
     }
 
     /// The largest angle off the axis that the lens sees, radians. A lens with more than pi/2 sees behind itself.
     pub fn max_angle(&self) -> f64 {
         match &self.curve {
             Curve::Radial(radial) => radial.max_angle(),
-            Curve::PlumbBob(pinhole) => pinhole.max_angle(),
+            Curve::Pinhole(pinhole) => pinhole.max_angle(),
         }
     }
 
@@ -261,7 +364,7 @@ impl Lens {
     pub fn project(&self, ray: DVec3) -> Option<DVec2> {
         let normalised = match &self.curve {
             Curve::Radial(radial) => radial.project(ray)?,
-            Curve::PlumbBob(pinhole) => pinhole.project(ray)?,
+            Curve::Pinhole(pinhole) => pinhole.project(ray)?,
         };
         let p = &self.parameters;
         Some(DVec2::new(p.cx + p.fx * normalised.x, p.cy + p.fy * normalised.y))
@@ -273,7 +376,7 @@ impl Lens {
         let normalised = DVec2::new((pixel.x - p.cx) / p.fx, (pixel.y - p.cy) / p.fy);
         match &self.curve {
             Curve::Radial(radial) => radial.unproject(normalised),
-            Curve::PlumbBob(pinhole) => pinhole.unproject(normalised),
+            Curve::Pinhole(pinhole) => pinhole.unproject(normalised),
         }
     }
 

@@ -12,23 +12,28 @@ use super::{Curve, Lens};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Projector {
     lens: Lens,
-    /// r(theta) / sin(theta) at even steps of cos(theta) from `min_cos` up to 1. Empty for pinholes, which are cheap without a table.
+    /// r(theta) / sin(theta) at even steps of cos(theta) from `min_cos` up to 1. Empty for pinholes, which are cheap without a table,
+    /// and for models that are too steep for one.
     factors: Vec<f64>,
     /// cos(theta) of the first entry.
     min_cos: f64,
     /// Number of entries for a step of 1 in cos(theta).
     nodes_per_unit: f64,
+    /// What a point's row adds to its column, both in focal lengths.
+    skew: f64,
 }
 
 /// Number of entries of the table.
 const NODES: usize = 4096;
+/// Largest error of the table, in focal lengths: 1e-3 px at a focal length of 1000 px.
+const MAX_TABLE_ERROR: f64 = 1e-6;
 
 impl Projector {
     /// Tabulates the projection of a lens.
     pub fn new(lens: &Lens) -> Self {
         let lens = lens.clone();
         let Curve::Radial(radial) = &lens.curve else {
-            return Self { lens, factors: Vec::new(), min_cos: 1.0, nodes_per_unit: 0.0 };
+            return Self { lens, factors: Vec::new(), min_cos: 1.0, nodes_per_unit: 0.0, skew: 0.0 };
         };
         let max_angle = radial.max_angle();
         // The factor is infinite straight behind the lens: the last thousandth of a radian is left to the exact path.
@@ -40,7 +45,22 @@ impl Projector {
                 radial.radius(angle) / libm::sin(angle)
             })
             .collect();
-        Self { min_cos, nodes_per_unit: 1.0 / step, factors, lens }
+        let (can_be_steep, skew) = (radial.can_be_steep(), radial.skew());
+        let projector = Self { min_cos, nodes_per_unit: 1.0 / step, factors, skew, lens };
+        if can_be_steep && !projector.is_fine_enough() {
+            return Self { factors: Vec::new(), ..projector };
+        }
+        projector
+    }
+
+    /// Whether the table is within [`MAX_TABLE_ERROR`] of the lens between all its entries.
+    fn is_fine_enough(&self) -> bool {
+        let Curve::Radial(radial) = &self.lens.curve else { return true };
+        self.factors.windows(2).enumerate().all(|(node, around)| {
+            let angle = libm::acos((self.min_cos + (node as f64 + 0.5) / self.nodes_per_unit).clamp(-1.0, 1.0));
+            let (sin, middle) = (libm::sin(angle), (around[0] + around[1]) / 2.0);
+            (middle * sin - radial.radius(angle)).abs() <= MAX_TABLE_ERROR
+        })
     }
 
     /// The lens that the table was made from.
@@ -64,7 +84,8 @@ impl Projector {
         let (low, high) = (self.factors[node], self.factors[node + 1]);
         let factor = (low + (high - low) * (at - node as f64)) * inverse;
         let p = &self.lens.parameters;
-        Some(DVec2::new(p.cx + p.fx * ray.x * factor, p.cy + p.fy * ray.y * factor))
+        let x = if self.skew == 0.0 { ray.x } else { ray.x + self.skew * ray.y };
+        Some(DVec2::new(p.cx + p.fx * x * factor, p.cy + p.fy * ray.y * factor))
     }
 
     /// Projects `N` rays at a time like [`Self::project`], with the precision of f32.
@@ -105,6 +126,12 @@ impl Projector {
             pixels[0][i] = cx + fx * xs[i] * factor;
             pixels[1][i] = cy + fy * ys[i] * factor;
         }
+        if self.skew != 0.0 {
+            let skew = self.skew as f32;
+            for i in 0..N {
+                pixels[0][i] += fx * skew * ys[i] * (factors[i] * inverses[i]);
+            }
+        }
         pixels
     }
 
@@ -127,6 +154,9 @@ mod tests {
             (LensModel::KannalaBrandt { k: [-0.02, 0.004, -0.0015, 0.0002] }, Some(180.0)),
             (LensModel::Equisolid, Some(220.0)),
             (LensModel::PlumbBob { d: [-0.2, 0.05, 0.001, -0.001, 0.0] }, None),
+            (LensModel::DoubleSphere { xi: -0.2, alpha: 0.6 }, Some(210.0)),
+            (LensModel::Eucm { alpha: 0.62, beta: 1.1 }, Some(190.0)),
+            (LensModel::Scaramuzza { c: [-0.31, 0.05, -0.06, 0.0, 0.0], skew: 0.003 }, Some(200.0)),
         ] {
             let parameters = LensParameters {
                 width: 4000,

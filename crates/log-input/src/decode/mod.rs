@@ -3,6 +3,8 @@
 mod bayer;
 mod raw;
 
+use std::cell::Cell;
+
 use image::error::{LimitError, LimitErrorKind};
 use image::{DynamicImage, ImageDecoder};
 use thiserror::Error;
@@ -101,6 +103,19 @@ pub fn picture(message: &LogMessage) -> Result<Picture, DecodeError> {
 /// A header of a few bytes may claim a gigabyte of pixels, so an image of another size is refused before any pixel is decoded.
 pub fn picture_of_size(message: &LogMessage, wanted: [usize; 2]) -> Result<Picture, DecodeError> {
     picture_if(message, &|found| if found == wanted { Ok(()) } else { Err(DecodeError::OtherSize { found, wanted }) })
+}
+
+/// Width and height that the image of a message states, pixels, without decoding it; `None` if they cannot be read or are impossible.
+pub fn stated_size(message: &LogMessage) -> Option<[u32; 2]> {
+    let stated = Cell::new(None);
+    // What is read after the size does not matter: the image is refused in any case.
+    let _ = picture_if(message, &|found| {
+        stated.set(Some(found));
+        Err(DecodeError::TooLarge { found })
+    });
+    let [width, height] = stated.get()?;
+    accept_any_possible([width, height]).ok()?;
+    Some([u32::try_from(width).ok()?, u32::try_from(height).ok()?])
 }
 
 /// Accepts every size that the project can work with.

@@ -93,12 +93,19 @@ fn make_isometry(rotation: DQuat, translation: DVec3) -> Isometry {
 impl CameraInfo {
     /// Makes the calibration message of a lens.
     ///
-    /// ROS has no name for an equisolid lens. The message calls it `equisolid`, which only this program reads.
+    /// ROS has no name for an equisolid, double sphere, enhanced unified or Scaramuzza lens. The message calls them `equisolid`,
+    /// `double_sphere` (xi, alpha), `eucm` (alpha, beta) and `scaramuzza` (c2 to c6, skew), which only this program reads. Thin prism terms follow those of
+    /// `rational_polynomial`, as OpenCV orders them.
     pub fn of_lens(lens: &LensParameters, header: Header) -> Self {
         let (distortion_model, d) = match lens.model {
             LensModel::KannalaBrandt { k } => ("equidistant", k.to_vec()),
             LensModel::Equisolid => ("equisolid", Vec::new()),
             LensModel::PlumbBob { d } => ("plumb_bob", d.to_vec()),
+            LensModel::RationalPolynomial { d } => ("rational_polynomial", d.to_vec()),
+            LensModel::ThinPrism { d } => ("rational_polynomial", d.to_vec()),
+            LensModel::DoubleSphere { xi, alpha } => ("double_sphere", vec![xi, alpha]),
+            LensModel::Eucm { alpha, beta } => ("eucm", vec![alpha, beta]),
+            LensModel::Scaramuzza { c: [c2, c3, c4, c5, c6], skew } => ("scaramuzza", vec![c2, c3, c4, c5, c6, skew]),
         };
         let LensParameters { width, height, fx, fy, cx, cy, .. } = *lens;
         Self {
