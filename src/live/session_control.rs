@@ -149,7 +149,14 @@ pub(super) fn setup(
     }
     synchroniser.check_mount(false).map_err(SetupError::from)?;
     let attitude = AttitudeSource { topic: topics.imu.clone(), all: vec![topics.imu.clone()] };
-    let prelude =
-        StreamInfo { topics, camera_info: Some(info), synchroniser: synchroniser.state().clone(), expected, attitude };
+    let prelude = StreamInfo {
+        topics,
+        camera_info: Some(info),
+        synchroniser: synchroniser.state().clone(),
+        expected,
+        attitude,
+        choices: Vec::new(),
+        warnings: Vec::new(),
+    };
     Ok((Setup::new(settings.clone(), prelude)?, [constants, calibration]))
 }

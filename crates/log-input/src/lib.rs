@@ -22,6 +22,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod attitude_filter;
 mod body_mask;
 mod camera_twist;
 pub mod decode;
@@ -32,6 +33,7 @@ pub mod history;
 mod input_source;
 pub mod log;
 pub mod measurement;
+pub mod planar_velocity;
 pub mod scene_source;
 pub mod synchroniser;
 pub mod topic_resolution;
