@@ -149,8 +149,8 @@ pub fn for_people(report: &ReplayReport) -> String {
          ({threads} threads{capped})\n",
         filter_ms.p50, filter_ms.p99, filter_ms.max
     );
-    if !report.topics.is_empty() {
-        let topics: Vec<String> = report.topics.iter().map(ToString::to_string).collect();
+    if !report.read.is_empty() {
+        let topics: Vec<String> = report.read.iter().map(ToString::to_string).collect();
         text.push_str(&format!("read: {}\n", topics.join(", ")));
     }
     if report.thinned > 0 {

@@ -41,6 +41,7 @@ mod scenes;
 mod segments;
 pub mod support;
 mod tag;
+mod teams;
 mod thinning;
 mod topics;
 mod truth;

@@ -92,7 +92,7 @@ impl Run {
             iterations: filter.iterations,
             adaptive: filter.adaptive,
             threads: recording.threads,
-            topics: setup.choices.clone(),
+            read: setup.choices.clone(),
             ..ReplayReport::default()
         };
         let warm = if options.warm_start { last_state(&options.captures) } else { Ok(None) };

@@ -15,7 +15,7 @@ pub struct ReplayReport {
     /// Folder of the session.
     pub session: PathBuf,
     /// The topics that were read, and why each was chosen.
-    pub topics: Vec<TopicChoice>,
+    pub read: Vec<TopicChoice>,
     /// Number of frames written.
     pub frames: u64,
     /// Number of frames tagged.
