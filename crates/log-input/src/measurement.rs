@@ -363,3 +363,86 @@ impl StatedDeviations {
 fn strip_slash(frame: String) -> String {
     frame.strip_prefix('/').map(str::to_owned).unwrap_or(frame)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use realitysim_ros2::messages::{ImuState, MotorState};
+
+    /// What a message on a topic is read as, logged at 7 ns.
+    fn read_on<M: Message>(topic: &str, content: &M, topics: &Topics) -> Measurement {
+        let channel = Arc::new(Channel::of::<M>(1, topic, Default::default()));
+        let message = LogMessage { channel, sequence: 0, log_time_ns: 7, publish_time_ns: 7, data: content.encode() };
+        read(&message, topics, &HeadSettings::default()).expect("it decodes")
+    }
+
+    #[test]
+    fn an_odometer_counts_at_the_time_of_the_log() {
+        let topics = Topics { odometry: "/odometer_state".to_owned(), ..Topics::default() };
+        let odometer = |x, theta| read_on("/odometer_state", &Odometer { x, y: -0.5, theta }, &topics);
+        let odom_from_footprint = Pose2::new(0.25, -0.5, 1.5);
+        let expected = Measurement::Odometry { stamp_ns: 7, odom_from_footprint, moving: None, clock: StampClock::Log };
+        assert_eq!(odometer(0.25, 1.5), expected);
+        for wild in [f32::NAN, f32::INFINITY, 3e6] {
+            assert_eq!(odometer(wild, 0.0), Measurement::Impossible);
+            assert_eq!(odometer(0.0, wild), Measurement::Impossible);
+        }
+        let elsewhere = read_on("/other", &Odometer::default(), &topics);
+        assert_eq!(elsewhere, Measurement::Other);
+    }
+
+    #[test]
+    fn a_low_state_gives_what_its_topic_is_asked_for() {
+        let joint = |q| MotorState { q, ..MotorState::default() };
+        let imu_state = ImuState { rpy: [0.5, -0.25, 1.0], gyro: [0.125, 0.0, 0.0], acc: [0.0, 0.0, 9.75] };
+        let state = LowState {
+            imu_state,
+            motor_state_parallel: Vec::new(),
+            motor_state_serial: vec![joint(0.5), joint(-0.25)],
+        };
+        let on = |imu: &str, joints: &str, state: &LowState| {
+            let topics = Topics { imu: imu.to_owned(), joints: joints.to_owned(), ..Topics::default() };
+            read_on("/low_state", state, &topics)
+        };
+        let Measurement::LowState { stamp_ns: 7, inertial: Some(torso), head } = on("/low_state", "/low_state", &state)
+        else {
+            panic!("both are asked for")
+        };
+        assert_eq!(head, Some((0.5, -0.25)));
+        let euler = Euler::from_rotation(torso.orientation.expect("stated"));
+        assert!((euler.roll - 0.5).abs() < 1e-12 && (euler.pitch + 0.25).abs() < 1e-12);
+        assert_eq!((torso.turn_rate.x, torso.acceleration.z), (0.125, 9.75));
+        assert!(matches!(
+            on("/imu", "/low_state", &state),
+            Measurement::LowState { inertial: None, head: Some(_), .. }
+        ));
+        assert!(matches!(on("/low_state", "/joints", &state), Measurement::LowState { head: None, .. }));
+        assert_eq!(on("/imu", "/joints", &state), Measurement::Other);
+        // A robot that states no attitude, and one of few joints.
+        let bare = LowState { motor_state_serial: vec![joint(0.5)], ..LowState::default() };
+        let Measurement::LowState { inertial: Some(torso), head: None, .. } = on("/low_state", "/low_state", &bare)
+        else {
+            panic!("one joint is no head")
+        };
+        assert_eq!(torso.orientation, None);
+    }
+
+    #[test]
+    fn a_velocity_counts_along_the_ground_and_a_pose_as_it_stands() {
+        let topics = Topics { odometry: "/walk".to_owned(), ..Topics::default() };
+        let mut twist = TwistStamped::default();
+        (twist.twist.linear.x, twist.twist.linear.z, twist.twist.angular.z) = (0.5, 9.0, -0.25);
+        let velocity = PlanarVelocity { x_m_per_s: 0.5, y_m_per_s: 0.0, yaw_rad_per_s: -0.25 };
+        assert_eq!(read_on("/walk", &twist, &topics), Measurement::Velocity { stamp_ns: 0, velocity });
+        twist.twist.linear.y = f64::NAN;
+        assert_eq!(read_on("/walk", &twist, &topics), Measurement::Impossible);
+        let mut pose = PoseStamped::default();
+        (pose.pose.position.x, pose.pose.position.z) = (1.5, 0.4);
+        let Measurement::Odometry { odom_from_footprint, moving: None, .. } = read_on("/walk", &pose, &topics) else {
+            panic!("odometry")
+        };
+        assert_eq!(odom_from_footprint, Pose2::new(1.5, 0.0, 0.0));
+    }
+}

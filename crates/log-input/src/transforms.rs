@@ -421,6 +421,47 @@ mod tests {
         tree
     }
 
+    /// REP 105 has the torso below the footprint, REP 120 the footprint below the torso: the camera is at the same place.
+    #[test]
+    fn a_footprint_that_hangs_on_the_torso_gives_the_same_camera() {
+        let lifted = Isometry::new(DQuat::IDENTITY, DVec3::new(0.0, 0.0, 0.44));
+        let mut hanging = TransformTree::default();
+        hanging.set_static("base_link", "base_footprint", lifted.inverse());
+        hanging.push(0, "odom", "base_link", Isometry::new(DQuat::IDENTITY, DVec3::X));
+        for (parent, child) in [("base_link", "camera_link"), ("camera_link", "camera_optical_frame")] {
+            let Some(Edge { transform: Transform::Static(constant), .. }) = robot().edges.get(child).cloned() else {
+                panic!("constants")
+            };
+            hanging.set_static(parent, child, constant);
+        }
+        let attitude = Some(Euler { roll: 0.05, pitch: 0.1, yaw: 2.0 }.rotation());
+        for attitude in [None, attitude] {
+            let posture = Posture { attitude, head: Some(Head { pan: 0.2, tilt: 0.1 }) };
+            let expected = robot().camera_place(0, &names(), posture).expect("a whole chain");
+            let found = hanging.camera_place(0, &names(), posture).expect("a whole chain");
+            let apart = found.footprint_from_optical.inverse() * expected.footprint_from_optical;
+            assert!(apart.translation.length() < 1e-12 && apart.rotation.angle_between(DQuat::IDENTITY) < 1e-7);
+            assert_eq!(found.tilt_is_measured, expected.tilt_is_measured);
+            assert_eq!(found.lean_rad.is_some(), expected.lean_rad.is_some());
+        }
+        assert!(hanging.check_constants(&names(), false).is_ok());
+        let step = hanging.base_from_footprint(0, &names()).expect("it hangs there");
+        assert!((step.translation + DVec3::Z * 0.44).length() < 1e-12);
+        assert_eq!(robot().base_from_footprint(0, &names()), None);
+    }
+
+    #[test]
+    fn a_chain_that_never_meets_is_broken_and_one_that_turns_is_a_circle() {
+        let mut tree = robot();
+        tree.set_static("ground", "base_footprint", Isometry::IDENTITY);
+        tree.edges.remove("base_link");
+        let broken = tree.camera_place(0, &names(), Posture::default()).expect_err("two trees");
+        assert!(matches!(broken, ChainError::Broken { frame, .. } if frame == "base_link"));
+        tree.set_static("base_footprint", "ground", Isometry::IDENTITY);
+        let circle = tree.camera_place(0, &names(), Posture::default()).expect_err("a circle above the footprint");
+        assert!(matches!(circle, ChainError::Circle { .. }));
+    }
+
     #[test]
     fn a_fixed_camera_stands_where_the_constants_say() {
         let place = robot().camera_place(0, &names(), Posture::default()).expect("a whole chain");

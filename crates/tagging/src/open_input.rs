@@ -7,7 +7,7 @@ use super::checkpoint::{Checkpoint, CheckpointError};
 use super::error::ReplayError;
 use super::log_scan::StreamInfo;
 use super::setup::{Setup, SetupError};
-use realitysim_config::Settings;
+use realitysim_config::{Settings, Topics};
 use realitysim_log_input::log::{self as logs, LogError, LogSource, StoredCheckpoint};
 use realitysim_log_input::scene_source::SceneSource;
 use realitysim_log_input::topic_resolution;
@@ -47,7 +47,10 @@ pub fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayError> {
     let surveys = logs::surveys(&files)?;
     let stored = stored_state(&files, &surveys)?;
     let mut types = logs::topic_types(&surveys);
-    let lacks_images = topic_resolution::image(&settings.topics.image, &types).is_err();
+    let wanted = &settings.topics.image;
+    let is_asked_for = *wanted != Topics::default().image;
+    let lacks_images = topic_resolution::image(wanted, &types).is_err()
+        && (is_asked_for || topic_resolution::images(&types).is_empty());
     let lacks_odometry = !topic_resolution::has_odometry(&settings.topics.odometry, &types);
     if stored.is_of_capture {
         // The camera or the odometry may have sent nothing during this segment. The other measurements are still of use.

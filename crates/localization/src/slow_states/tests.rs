@@ -168,3 +168,20 @@ fn the_covariance_stays_one_whatever_is_doubted() {
         assert!(least > -1e-12 * most && most.is_finite(), "round {round}: {least} of {most}");
     }
 }
+
+/// The standard deviations of the ends of a step are independent, so that they add up as squares.
+#[test]
+fn what_has_no_stamp_is_less_certain_by_speed_times_time() {
+    let spread = |stamp_sigma_s: f64| {
+        let mut track = SlowStateFilter::around(Pose2::default(), 0.0, 0.0, &MODEL());
+        let odometry = Some(Pose2::new(0.05, 0.0, 0.02));
+        track.predict(&Step { odometry, turned_rad: None, seconds: 0.1, stamp_sigma_s }, &MODEL(), 0.04, 0.1);
+        (track.covariance[(Y, Y)], track.covariance[(YAW, YAW)])
+    };
+    let (stamped, unstamped) = (spread(0.0), spread(0.01));
+    let speed_m_per_s = 0.5;
+    let turn_rad_per_s = 0.2;
+    assert!((unstamped.0 - stamped.0 - 2.0 * (0.01f64 * speed_m_per_s).powi(2)).abs() < 1e-12);
+    assert!((unstamped.1 - stamped.1 - 2.0 * (0.01f64 * turn_rad_per_s).powi(2)).abs() < 1e-12);
+    assert_eq!(Step { stamp_sigma_s: 0.01, ..Step::none() }.time_error(1.0), 0.0, "in no time nothing moves");
+}
