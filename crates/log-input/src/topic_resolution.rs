@@ -92,20 +92,16 @@ impl fmt::Display for TopicChoice {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum TopicError {
     /// The topic of a measurement is missing, and not exactly one other has the right type.
-    #[error("no {what} on {wanted}{}: {}", instead(found), hint(types, candidates, key))]
+    #[error("no {} on {wanted}{}: {}", needed.what, instead(found), hint(needed, candidates))]
     Missing {
-        /// The measurement, in words.
-        what: &'static str,
+        /// The measurement.
+        needed: &'static NeededTopic,
         /// The configured topic.
         wanted: String,
         /// The types that the configured topic has instead, if the log has it.
         found: Vec<String>,
-        /// The types that it may have, in words.
-        types: &'static str,
-        /// The topics of the log that have such a type.
+        /// The topics of the log that have a right type.
         candidates: Vec<String>,
-        /// The key under `topics` in the settings that chooses one.
-        key: &'static str,
     },
     /// The log has no odometry, and the settings do not say that it goes without.
     #[error(
@@ -124,6 +120,28 @@ pub enum TopicError {
     },
 }
 
+/// A measurement that a log must have, for error messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NeededTopic {
+    /// The measurement, in words.
+    pub what: &'static str,
+    /// The types that its topic may have, in words.
+    pub types: &'static str,
+    /// The key under `topics` in the settings that chooses one.
+    pub key: &'static str,
+}
+
+const NEEDED_IMAGE: NeededTopic =
+    NeededTopic { what: "camera images", types: "sensor_msgs/msg/CompressedImage or Image", key: "image" };
+const NEEDED_CALIBRATION: NeededTopic = NeededTopic {
+    what: "camera calibration",
+    types: "sensor_msgs/msg/CameraInfo (or give a lens file with camera.lens)",
+    key: "camera_info",
+};
+const NEEDED_ODOMETRY: NeededTopic =
+    NeededTopic { what: "odometry", types: "nav_msgs/msg/Odometry or booster_interface/msg/Odometer", key: "odometry" };
+const NEEDED_TRANSFORMS: NeededTopic = NeededTopic { what: "transforms", types: TRANSFORMS[0], key: "tf_static" };
+
 /// Says what the configured topic has instead of what is needed.
 fn instead(found: &[String]) -> String {
     if found.is_empty() { String::new() } else { format!(", whose type is {}", found.join(", ")) }
@@ -135,7 +153,8 @@ fn named(candidates: &[String]) -> String {
 }
 
 /// Says how to choose among the candidates.
-fn hint(types: &str, candidates: &[String], key: &str) -> String {
+fn hint(needed: &NeededTopic, candidates: &[String]) -> String {
+    let NeededTopic { types, key, .. } = needed;
     match candidates {
         [] => format!("the log has no topic of type {types}"),
         _ => format!("choose one with topics.{key}: {}", candidates.join(", ")),
@@ -234,12 +253,10 @@ impl Resolver<'_> {
             }
             Err(_) if self.settings.camera.lens.is_some() => Ok(()),
             Err(candidates) => Err(TopicError::Missing {
-                what: "camera calibration",
+                needed: &NEEDED_CALIBRATION,
                 found: self.types_of(&wanted),
                 wanted,
-                types: "sensor_msgs/msg/CameraInfo (or give a lens file with camera.lens)",
                 candidates,
-                key: "camera_info",
             }),
         }
     }
@@ -283,14 +300,9 @@ impl Resolver<'_> {
                 candidates.retain(other);
                 Err(TopicError::NoOdometry { found: self.types_of(&wanted), wanted, candidates })
             }
-            Err(candidates) => Err(TopicError::Missing {
-                what: "odometry",
-                found: self.types_of(&wanted),
-                wanted,
-                types: "nav_msgs/msg/Odometry or booster_interface/msg/Odometer",
-                candidates,
-                key: "odometry",
-            }),
+            Err(candidates) => {
+                Err(TopicError::Missing { needed: &NEEDED_ODOMETRY, found: self.types_of(&wanted), wanted, candidates })
+            }
         }
     }
 
@@ -340,12 +352,10 @@ impl Resolver<'_> {
             Ok(_) => Ok(()),
             Err(_) if self.log.contains_key(&tf) => Ok(()),
             Err(candidates) => Err(TopicError::Missing {
-                what: "transforms",
+                needed: &NEEDED_TRANSFORMS,
                 found: self.types_of(&wanted),
                 wanted,
-                types: TRANSFORMS[0],
                 candidates,
-                key: "tf_static",
             }),
         }
     }
@@ -375,12 +385,10 @@ fn choose_image(
         [] => {}
     }
     Err(TopicError::Missing {
-        what: "camera images",
+        needed: &NEEDED_IMAGE,
         wanted: wanted.to_owned(),
         found: types_of(log, wanted),
-        types: "sensor_msgs/msg/CompressedImage or Image",
         candidates,
-        key: "image",
     })
 }
 

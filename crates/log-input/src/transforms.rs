@@ -336,7 +336,7 @@ impl TransformTree {
     }
 
     /// Returns the edges from `frame` upwards, and the frame at which they end: `top`, or one without a parent.
-    fn ancestors<'a>(&'a self, frame: &'a str, top: &str) -> Result<(Vec<(&'a str, &'a Edge)>, &'a str), ChainError> {
+    fn ancestors<'a>(&'a self, frame: &'a str, top: &str) -> Result<(Vec<NamedEdge<'a>>, &'a str), ChainError> {
         let mut edges = Vec::new();
         let mut here = frame;
         while here != top {
@@ -348,11 +348,6 @@ impl TransformTree {
             here = &edge.parent;
         }
         Ok((edges, here))
-    }
-
-    /// Returns whether the footprint is a child of the torso, as REP 120 has it, and not the other way round.
-    pub fn footprint_hangs_on(&self, base_link: &str, base_footprint: &str) -> bool {
-        self.edges.get(base_footprint).is_some_and(|edge| edge.parent == base_link)
     }
 
     /// Returns the pose of the footprint in the torso's coordinate frame at a time, if it is a child of the torso.
@@ -372,6 +367,9 @@ impl TransformTree {
                 (Some((root_a, _)), Some((root_b, _))) if root_a == root_b)
     }
 }
+
+/// An edge with the name of its child frame.
+type NamedEdge<'a> = (&'a str, &'a Edge);
 
 /// A step of a chain from one coordinate frame to the next.
 struct Link<'a> {

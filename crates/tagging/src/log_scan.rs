@@ -170,7 +170,8 @@ fn check_schemas(choices: &[TopicChoice], messages: Messages) -> Result<(), Setu
         if schema_encoding == "ros2msg"
             && let Some(difference) = schema::difference(type_name, definition)
         {
-            return Err(SetupError::Schema { topic: topic.clone(), type_name: type_name.clone(), difference });
+            let (topic, type_name, difference) = (topic.clone(), type_name.clone(), Box::new(difference));
+            return Err(SetupError::Schema { topic, type_name, difference });
         }
     }
     Ok(())

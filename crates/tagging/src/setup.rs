@@ -66,7 +66,7 @@ pub enum SetupError {
         /// Name of its type.
         type_name: String,
         /// The first field that differs.
-        difference: SchemaDifference,
+        difference: Box<SchemaDifference>,
     },
     /// Some topics have no stamps, and the stamps of the images are of another clock than the log's times.
     #[error(
