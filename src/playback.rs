@@ -140,6 +140,9 @@ fn play_capture(options: &PlayOptions, path: &Path, stop: &AtomicBool) -> Result
             Ok(Measurement::Frame { .. }) => image_of(&message).map(Event::Image),
             Ok(Measurement::Odometry { odom_from_footprint, .. }) => Some(Event::Odometry(odom_from_footprint)),
             Ok(Measurement::Imu { orientation: Some(q), turn_rate, .. }) => Some(Event::Attitude(q, turn_rate)),
+            Ok(Measurement::LowState { inertial: Some(torso), .. }) => {
+                torso.orientation.map(|q| Event::Attitude(q, Some(torso.turn_rate)))
+            }
             _ => None,
         };
         if let Some(event) = event

@@ -6,9 +6,13 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{Outcome, output};
+use crate::config::Settings;
 use crate::log_input::log;
+use crate::log_input::topic_resolution::{ResolvedTopics, TopicChoice, TopicTypes};
 use crate::recording::{Loss, missing_parts};
-use crate::ros2::mcap_read::Survey;
+use crate::ros2::mcap_read::{LogMessage, Survey};
+use crate::tagging::log_scan;
+use crate::tagging::setup::SetupError;
 
 /// What a log, bag or capture holds, or what a camera offers
 ///
@@ -34,6 +38,10 @@ struct Info {
     duration_s: f64,
     messages: u64,
     topics: Vec<TopicInfo>,
+    /// The topics that a replay would read, with the reason for each, as far as they can be told.
+    read: Vec<TopicChoice>,
+    /// Why a replay cannot tell which topics to read.
+    unclear: Option<String>,
 }
 
 #[derive(Serialize)]
@@ -98,6 +106,10 @@ pub fn run(arguments: &InfoArguments, json: bool) -> anyhow::Result<Outcome> {
     }
     let whole = topics.iter().fold(None, |span, topic| joined(span, topic.span_ns));
     let damaged = surveys.iter().any(|survey| !survey.damage.is_none());
+    let (read, unclear) = match read_topics(files.clone(), &log::topic_types(&surveys)) {
+        Ok(resolved) => (resolved.choices, None),
+        Err(error) => (Vec::new(), Some(error.to_string())),
+    };
     let outcome = if damaged || !lost.is_empty() { Outcome::DataLost } else { Outcome::Whole };
     let info = Info {
         checked,
@@ -106,6 +118,8 @@ pub fn run(arguments: &InfoArguments, json: bool) -> anyhow::Result<Outcome> {
         duration_s: whole.map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 * 1e-9),
         messages: topics.iter().map(|topic| topic.messages).sum(),
         topics,
+        read,
+        unclear,
     };
     if json {
         output::json(&info)?
@@ -113,6 +127,17 @@ pub fn run(arguments: &InfoArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&for_people(&info))?
     }
     Ok(outcome)
+}
+
+/// Messages of a log that are looked at for what they say about topics: the transforms of some minutes.
+const MAX_LOOKED_AT: usize = 100_000;
+
+/// The topics that a replay with default settings would read.
+fn read_topics(files: Vec<PathBuf>, types: &TopicTypes) -> Result<ResolvedTopics, SetupError> {
+    let messages = move |selection| -> Box<dyn Iterator<Item = Result<LogMessage, log::LogError>>> {
+        Box::new(log::LogSource::new(files.clone(), selection).take(MAX_LOOKED_AT))
+    };
+    log_scan::topics_of(&Settings::default(), types, &messages)
 }
 
 fn file_info(file: &Path, survey: &Survey, checked: bool) -> FileInfo {
@@ -201,6 +226,15 @@ fn for_people(info: &Info) -> String {
     for topic in &info.topics {
         let rate = topic.rate_hz.map_or(String::new(), |rate| format!("{rate:.1} Hz"));
         text.push_str(&format!("  {:<30} {:<44} {:>8} {rate:>10}\n", topic.topic, topic.type_name, topic.messages));
+    }
+    if !info.read.is_empty() {
+        text.push_str("\na replay reads:\n");
+    }
+    for choice in &info.read {
+        text.push_str(&format!("  {:<12} {:<46} {}\n", choice.measurement, choice.topic, choice.reason));
+    }
+    if let Some(unclear) = &info.unclear {
+        text.push_str(&format!("\na replay needs to be told: {unclear}\n"));
     }
     text.trim_end().to_owned()
 }

@@ -149,6 +149,10 @@ pub fn for_people(report: &ReplayReport) -> String {
          ({threads} threads{capped})\n",
         filter_ms.p50, filter_ms.p99, filter_ms.max
     );
+    if !report.read.is_empty() {
+        let topics: Vec<String> = report.read.iter().map(ToString::to_string).collect();
+        text.push_str(&format!("read: {}\n", topics.join(", ")));
+    }
     if report.thinned > 0 {
         text.push_str(&format!("{} more frames tagged and not written, as recording.thinning asks\n", report.thinned));
     }

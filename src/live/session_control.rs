@@ -156,6 +156,8 @@ pub(super) fn setup(
         synchroniser: synchroniser.state().clone(),
         expected,
         attitude,
+        choices: Vec::new(),
+        warnings: Vec::new(),
     };
     Ok((Setup::new(settings.clone(), prelude)?, [constants, calibration]))
 }

@@ -24,8 +24,8 @@ use realitysim::log_input::synchroniser::Synchroniser;
 use realitysim::log_input::{decode, measurement};
 use realitysim::recording::{missing_parts, read_info};
 use realitysim::ros2::messages::{
-    CameraInfo, CompressedImage, DiagnosticArray, FrameTag, Image, ImageView, Imu, JointState, Odometry, PoseStamped,
-    PoseWithCovarianceStamped, TFMessage,
+    CameraInfo, CompressedImage, DiagnosticArray, FrameTag, Image, ImageView, Imu, JointState, LowState, Odometer,
+    Odometry, PoseStamped, PoseWithCovarianceStamped, TFMessage, TwistStamped, TwistWithCovarianceStamped, schema,
 };
 use realitysim::ros2::{Channel, LogMessage, LogReader, Message, Selection, attachments, examine, survey};
 use realitysim::scene::{Renderer, Scene, SceneFile};
@@ -33,9 +33,10 @@ use realitysim::tagging::{Checkpoint, Tagger};
 
 pub type Target = (&'static str, fn(&[u8]));
 
-pub const TARGETS: [Target; 13] = [
+pub const TARGETS: [Target; 14] = [
     ("mcap", mcap),
     ("cdr", cdr),
+    ("schema", schema),
     ("image", image),
     ("foxglove", foxglove),
     ("mavlink", mavlink),
@@ -68,7 +69,7 @@ pub fn mcap(bytes: &[u8]) {
 pub fn cdr(bytes: &[u8]) {
     let Some((which, data)) = bytes.split_first() else { return };
     let topics = Topics::default();
-    match which % 11 {
+    match which % 15 {
         0 => message::<CompressedImage>(data, &topics.image),
         1 => message::<Image>(data, &topics.image),
         2 => message::<CameraInfo>(data, &topics.camera_info),
@@ -79,8 +80,19 @@ pub fn cdr(bytes: &[u8]) {
         7 => message::<PoseWithCovarianceStamped>(data, &topics.initial_pose),
         8 => message::<PoseStamped>(data, &topics.ground_truth),
         9 => message::<DiagnosticArray>(data, "/diagnostics"),
-        _ => message::<FrameTag>(data, "/frame_tag"),
+        10 => message::<FrameTag>(data, "/frame_tag"),
+        11 => message::<TwistStamped>(data, &topics.odometry),
+        12 => message::<TwistWithCovarianceStamped>(data, &topics.odometry),
+        13 => message::<Odometer>(data, &topics.odometry),
+        _ => message::<LowState>(data, &topics.imu),
     }
+}
+
+/// The definition of a type, as a log states it: the first byte says of which type.
+pub fn schema(bytes: &[u8]) {
+    let Some((which, definition)) = bytes.split_first() else { return };
+    let types = [LowState::TYPE, Odometry::TYPE, TFMessage::TYPE];
+    let _ = schema::difference(types[usize::from(*which) % types.len()], definition);
 }
 
 fn message<M: Message>(data: &[u8], topic: &str) {

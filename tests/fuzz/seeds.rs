@@ -12,7 +12,8 @@ use realitysim::log_input::decode;
 use realitysim::log_input::foxglove::FoxgloveType;
 use realitysim::log_input::synchroniser::InitialPose;
 use realitysim::recording::{Counts, ManifestLine, PoseBox, SessionInfo};
-use realitysim::ros2::Selection;
+use realitysim::ros2::messages::{LowState, Odometry, TFMessage};
+use realitysim::ros2::{Message, Selection};
 use realitysim::tagging::{Checkpoint, Tagger};
 
 use super::KEPT;
@@ -64,11 +65,19 @@ fn logs() {
         "geometry_msgs/msg/PoseStamped",
         "diagnostic_msgs/msg/DiagnosticArray",
         "realitysim_msgs/msg/FrameTag",
+        "geometry_msgs/msg/TwistStamped",
+        "geometry_msgs/msg/TwistWithCovarianceStamped",
+        "booster_interface/msg/Odometer",
+        "booster_interface/msg/LowState",
     ];
     for (which, name) in types.iter().enumerate() {
         let message = messages.iter().find(|message| message.channel.type_name == *name).expect("one of every type");
         let bytes = [&[which as u8][..], &message.data].concat();
         keep("cdr", &format!("sound-{}", name.rsplit('/').next().unwrap_or(name)), bytes);
+    }
+    let definitions = [LowState::DEFINITION, Odometry::DEFINITION, TFMessage::DEFINITION];
+    for (which, (name, definition)) in ["low-state", "odometry", "tf"].iter().zip(definitions).enumerate() {
+        keep("schema", &format!("sound-{name}"), [&[which as u8], definition.as_bytes()].concat());
     }
 }
 

@@ -150,6 +150,8 @@ impl Robot {
             camera_twist: None,
             turn_is_measured: true,
             stale: false,
+            stamp_sigma_s: 0.0,
+            tilt_sigma_rad: 0.0,
             initial_pose: None,
             anchor: None,
         }

@@ -45,6 +45,7 @@ mod segments;
 mod sqlite_bags;
 pub mod support;
 mod tag;
+mod teams;
 mod thinning;
 mod topics;
 mod truth;

@@ -94,8 +94,8 @@ fn a_survey_tells_what_is_there() {
     let diagnostics = found.topics.iter().find(|topic| topic.topic == "/diagnostics").unwrap();
     assert_eq!(diagnostics.type_name, "diagnostic_msgs/msg/DiagnosticArray");
     assert_eq!(diagnostics.messages, 2);
-    assert_eq!(diagnostics.first_log_time_ns, Some(START_NS + 10_000_000));
-    assert_eq!(diagnostics.last_log_time_ns, Some(START_NS + 12_000_000));
+    assert_eq!(diagnostics.first_log_time_ns, Some(START_NS + 14_000_000));
+    assert_eq!(diagnostics.last_log_time_ns, Some(START_NS + 16_000_000));
     assert_eq!(found.topics.iter().filter(|topic| topic.latched).count(), 2);
     assert_eq!(examine(Cursor::new(&log)).unwrap(), found, "the index tells the truth");
     // Without the summary, everything is found by reading all of it.
@@ -240,5 +240,5 @@ fn a_reader_can_be_sent_to_another_thread() {
     let reader = LogReader::open(Cursor::new(log), Selection::All).unwrap();
     send(&reader);
     assert!(reader.is_indexed());
-    assert_eq!(reader.channels().count(), 12);
+    assert_eq!(reader.channels().count(), 16);
 }

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 
 use realitysim::ros2::messages::{
-    CameraInfo, CompressedImage, DiagnosticArray, DiagnosticStatus, FrameTag, Header, Image, Imu, JointState, KeyValue,
-    Odometry, Point, Pose, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, RegionOfInterest,
-    Stamp, TFMessage, Transform, TransformStamped, Twist, TwistWithCovariance, Vector3,
+    CameraInfo, CompressedImage, DiagnosticArray, DiagnosticStatus, FrameTag, Header, Image, Imu, ImuState, JointState,
+    KeyValue, LowState, MotorState, Odometer, Odometry, Point, Pose, PoseStamped, PoseWithCovariance,
+    PoseWithCovarianceStamped, Quaternion, RegionOfInterest, Stamp, TFMessage, Transform, TransformStamped, Twist,
+    TwistStamped, TwistWithCovariance, TwistWithCovarianceStamped, Vector3,
 };
 use realitysim::ros2::{Damage, Durability, LogMessage, LogReader, LogWriter, Message, Selection};
 use serde::Serialize;
@@ -133,6 +134,13 @@ pub fn every_message() -> (Vec<u8>, Written) {
     log.add("/pose", Durability::Volatile, &PoseStamped { header: header("map"), pose: pose(50.0) });
     let initial = PoseWithCovarianceStamped { header: header("map"), pose: pose_with_covariance(60.0) };
     log.add("/initialpose", Durability::Volatile, &initial);
+    let twist = Twist { linear: vector(70.0), angular: vector(80.0) };
+    log.add("/velocity", Durability::Volatile, &TwistStamped { header: header("base_link"), twist });
+    let with_covariance = TwistWithCovariance { twist, covariance: numbers(400.0) };
+    let stamped = TwistWithCovarianceStamped { header: header("base_link"), twist: with_covariance };
+    log.add("/velocity_with_covariance", Durability::Volatile, &stamped);
+    log.add("/odometer_state", Durability::Volatile, &Odometer { x: 0.5, y: -0.25, theta: 3.125 });
+    log.add("/low_state", Durability::Volatile, &low_state());
     log.add("/diagnostics", Durability::Volatile, &diagnostics());
     log.add("/frame_tag", Durability::Volatile, &frame_tag());
     log.add("/diagnostics", Durability::Volatile, &DiagnosticArray::default());
@@ -192,6 +200,21 @@ fn joints() -> JointState {
         velocity: vec![],
         effort: vec![1.5],
     }
+}
+
+fn low_state() -> LowState {
+    let joint = |q: f32| MotorState {
+        mode: -1,
+        q,
+        dq: 0.5,
+        ddq: -0.5,
+        tau_est: 2.25,
+        temperature: 40,
+        lost: 7,
+        reserve: [3, 500],
+    };
+    let imu_state = ImuState { rpy: [0.5, -0.25, 1.5], gyro: [0.125, 0.25, 0.375], acc: [0.5, 0.75, 9.75] };
+    LowState { imu_state, motor_state_parallel: vec![joint(0.25)], motor_state_serial: vec![joint(-0.5), joint(1.5)] }
 }
 
 fn diagnostics() -> DiagnosticArray {

@@ -81,6 +81,8 @@ mod tests {
             tilt_is_measured: true,
             lean_rad: None,
             stale: false,
+            stamp_sigma_s: 0.0,
+            tilt_sigma_rad: 0.0,
         }
     }
 

@@ -22,6 +22,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod attitude_filter;
 mod body_mask;
 mod camera_twist;
 mod conversion;
@@ -34,6 +35,7 @@ pub mod history;
 mod input_source;
 pub mod log;
 pub mod measurement;
+pub mod planar_velocity;
 pub mod scene_source;
 pub mod synchroniser;
 pub mod topic_resolution;

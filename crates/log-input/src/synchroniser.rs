@@ -8,12 +8,14 @@ use std::collections::VecDeque;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
+use super::attitude_filter::{AttitudeFilter, MADE_TILT_SIGMA_RAD};
 use super::camera_twist::{RateSources, camera_twist};
 use super::history::{History, Pushed, Sample};
-use super::measurement::{Measurement, StampedTransform, StatedDeviations};
+use super::measurement::{Measurement, MovingFrame, StampClock, StampedTransform, StatedDeviations, TorsoState};
+use super::planar_velocity::VelocityIntegrator;
 use super::transforms::{CameraPlace, ChainError, Head, Posture, TransformTree};
 use realitysim_config::FrameNames;
-use realitysim_geometry::{Physical, Pose2, Twist};
+use realitysim_geometry::{Isometry, Physical, Pose2, Twist};
 use realitysim_ros2::mcap_read::LogMessage;
 
 /// A frame with what is known about the robot at its exposure.
@@ -50,6 +52,11 @@ pub struct RobotState {
     pub turn_is_measured: bool,
     /// Whether the odometry, an attitude, a joint angle or a transform that was used is older than [`STALE_NS`].
     pub stale: bool,
+    /// Standard deviation of the times of odometry and gyro, seconds: [`LOG_TIME_SIGMA_S`] where the log's time stands for a stamp,
+    /// else 0.
+    pub stamp_sigma_s: f64,
+    /// Standard deviation of the torso's roll and pitch, radians, that comes of an attitude made of raw rates or stamped by log time.
+    pub tilt_sigma_rad: f64,
     /// The pose that was announced since the last frame.
     pub initial_pose: Option<InitialPose>,
     /// Where the robot's step begins, if not at the frame before.
@@ -97,6 +104,11 @@ const MAX_WAITING: usize = 64;
 /// Largest size of the frames that wait, bytes. With more, the oldest goes on with what there is.
 const MAX_WAITING_BYTES: usize = 256 << 20;
 
+/// Standard deviation of the time of a measurement that has no stamp, seconds.
+///
+/// A message is logged up to a period of the camera after its measurement, since programs pass it on once a cycle: 33 ms at 30
+/// hertz, and an even distribution over it has a standard deviation of a twelfth's root, 10 ms.
+pub const LOG_TIME_SIGMA_S: f64 = 0.01;
 /// Age beyond which a gyro sample does not say how fast the camera turns, nanoseconds.
 const GYRO_AGE_NS: i64 = 30_000_000;
 /// Distance in time beyond which a joint angle does not say where the neck was, nanoseconds.
@@ -119,6 +131,16 @@ pub struct SynchroniserState {
     sway_rate: History<f64>,
     /// Turn rate of the torso about its own axes, radians per second.
     torso_rate: History<DVec3>,
+    /// Makes an attitude of raw rates and accelerations, as long as no sensor has stated one.
+    attitude_filter: AttitudeFilter,
+    /// Whether a sensor has stated its attitude.
+    attitude_is_stated: bool,
+    /// Adds velocities up to odometry.
+    velocity: VelocityIntegrator,
+    /// Whether odometry has no stamps, and the log's times stand for them.
+    odometry_by_log_time: bool,
+    /// The same of attitude and turn rates.
+    attitude_by_log_time: bool,
     /// The last frame that was popped.
     last_frame: Option<StepOrigin>,
     pan: History<f64>,
@@ -224,6 +246,16 @@ impl Synchroniser {
         !self.state.attitude.is_empty()
     }
 
+    /// Returns whether the attitude is made of raw turn rates and accelerations, since no sensor states one.
+    pub fn makes_attitude(&self) -> bool {
+        self.knows_attitude() && !self.state.attitude_is_stated
+    }
+
+    /// Returns whether constants connect a coordinate frame to the torso's.
+    pub fn is_mounted_on_torso(&self, frame: &str) -> bool {
+        self.state.tree.is_mounted_on(frame, &self.names.base_link)
+    }
+
     /// Checks the mount with the names of coordinate frames that the frames so far have used.
     ///
     /// The error says why the mount can never be right. `more_may_come` says that the transforms may be incomplete.
@@ -248,6 +280,7 @@ impl Synchroniser {
             // One message is enough to know that the sensor exists, even if it lacks what is needed.
             Measurement::Imu { .. } => self.expected.imu = false,
             Measurement::Joints { .. } => self.expected.joints = false,
+            Measurement::LowState { .. } => self.expected = Expected::default(),
             _ => {}
         }
         match input {
@@ -259,31 +292,32 @@ impl Synchroniser {
                 self.waiting_bytes += message.data.len();
                 self.waiting.push_back((message.clone(), stamp_ns));
             }
-            Measurement::Odometry { stamp_ns, odom_from_footprint } => {
-                // From the first message on the odometry in `/tf` is ignored; it may have another origin.
-                let is_first = self.state.odometry.is_empty();
-                let before = self.state.odometry().newest().map(|(_, odometry)| odometry);
-                let pushed = self.state.odometry.push(stamp_ns, odom_from_footprint);
-                let now = OdometryOrigin::new(stamp_ns, odom_from_footprint, message.log_time_ns);
-                self.update_anchor(now, before, is_first, pushed);
-                self.count(pushed);
+            Measurement::Odometry { stamp_ns, odom_from_footprint, moving, clock } => {
+                let odometry = moving.and_then(|moving| self.footprint_below(stamp_ns, &moving));
+                self.state.odometry_by_log_time = clock == StampClock::Log;
+                self.take_odometry(stamp_ns, odometry.unwrap_or(odom_from_footprint), message.log_time_ns);
             }
-            Measurement::Imu { stamp_ns, orientation, turn_rate, frame_id } => {
+            Measurement::Velocity { stamp_ns, velocity } => {
+                let odometry = self.state.velocity.push(stamp_ns, velocity);
+                match odometry {
+                    Some(odometry) => self.take_odometry(stamp_ns, odometry, message.log_time_ns),
+                    None => self.count(Pushed::Known),
+                }
+            }
+            Measurement::Imu { stamp_ns, orientation, turn_rate, acceleration, frame_id } => {
                 let imu_from_base = self.state.tree.fixed_rotation(&frame_id, &self.names.base_link);
-                // Without an attitude the torso is taken to be upright.
-                let upright = orientation.unwrap_or_else(|| imu_from_base.conjugate());
-                let turn = turn_rate.map(|rate| {
-                    if !rate.is_possible() || !upright.is_possible() {
-                        return Pushed::Impossible;
-                    }
-                    self.state.torso_rate.push(stamp_ns, imu_from_base.conjugate() * rate);
-                    let rate = upright * rate;
-                    self.state.sway_rate.push(stamp_ns, libm::hypot(rate.x, rate.y));
-                    self.state.turn_rate.push(stamp_ns, rate.z)
-                });
-                let tilt =
-                    orientation.map(|orientation| self.state.attitude.push(stamp_ns, orientation * imu_from_base));
-                self.count_message([tilt, turn]);
+                self.state.attitude_by_log_time = false;
+                self.take_inertial(stamp_ns, imu_from_base, orientation, turn_rate, acceleration);
+            }
+            Measurement::LowState { stamp_ns, inertial, head } => {
+                if let Some(TorsoState { orientation, turn_rate, acceleration }) = inertial {
+                    self.state.attitude_by_log_time = true;
+                    let (turn_rate, acceleration) = (Some(turn_rate), Some(acceleration));
+                    self.take_inertial(stamp_ns, DQuat::IDENTITY, orientation, turn_rate, acceleration);
+                }
+                let pan = head.map(|(pan, _)| self.state.pan.push(stamp_ns, pan));
+                let tilt = head.map(|(_, tilt)| self.state.tilt.push(stamp_ns, tilt));
+                self.count_message([pan, tilt]);
             }
             Measurement::Joints { stamp_ns, pan, tilt } => {
                 let pan = pan.map(|pan| self.state.pan.push(stamp_ns, pan));
@@ -310,6 +344,58 @@ impl Synchroniser {
             Measurement::Impossible => self.count(Pushed::Impossible),
             Measurement::CameraInfo(_) | Measurement::Other => {}
         }
+    }
+
+    /// Takes the pose of the footprint in `odom`.
+    fn take_odometry(&mut self, stamp_ns: i64, odom_from_footprint: Pose2, log_time_ns: i64) {
+        // From the first message on the odometry in `/tf` is ignored; it may have another origin.
+        let is_first = self.state.odometry.is_empty();
+        let before = self.state.odometry().newest().map(|(_, odometry)| odometry);
+        let pushed = self.state.odometry.push(stamp_ns, odom_from_footprint);
+        let now = OdometryOrigin::new(stamp_ns, odom_from_footprint, log_time_ns);
+        self.update_anchor(now, before, is_first, pushed);
+        self.count(pushed);
+    }
+
+    /// Returns the footprint's pose in `odom` where the odometry is that of the torso, and the transforms have the footprint below it.
+    fn footprint_below(&self, stamp_ns: i64, moving: &MovingFrame) -> Option<Pose2> {
+        let of_torso = moving.name == self.names.base_link;
+        let base_from_footprint =
+            of_torso.then(|| self.state.tree.base_from_footprint(stamp_ns, &self.names)).flatten()?;
+        let odom_from_footprint: Isometry = moving.odom_from_frame * base_from_footprint;
+        odom_from_footprint.is_possible().then(|| Pose2::from_isometry(&odom_from_footprint))
+    }
+
+    /// Takes what an inertial sensor measures along the axes of its housing, which `imu_from_base` turns the torso's into.
+    fn take_inertial(
+        &mut self,
+        stamp_ns: i64,
+        imu_from_base: DQuat,
+        stated: Option<DQuat>,
+        turn_rate: Option<DVec3>,
+        acceleration: Option<DVec3>,
+    ) {
+        let state = &mut self.state;
+        state.attitude_is_stated |= stated.is_some();
+        let orientation = match (stated, turn_rate, acceleration) {
+            (None, Some(rate), Some(acceleration)) if !state.attitude_is_stated => {
+                state.attitude_filter.push(stamp_ns, rate, acceleration)
+            }
+            _ => stated,
+        };
+        // Without an attitude the torso is taken to be upright.
+        let upright = orientation.unwrap_or_else(|| imu_from_base.conjugate());
+        let turn = turn_rate.map(|rate| {
+            if !rate.is_possible() || !upright.is_possible() {
+                return Pushed::Impossible;
+            }
+            state.torso_rate.push(stamp_ns, imu_from_base.conjugate() * rate);
+            let rate = upright * rate;
+            state.sway_rate.push(stamp_ns, libm::hypot(rate.x, rate.y));
+            state.turn_rate.push(stamp_ns, rate.z)
+        });
+        let tilt = orientation.map(|orientation| state.attitude.push(stamp_ns, orientation * imu_from_base));
+        self.count_message([tilt, turn]);
     }
 
     /// Tells that the log has ended and no frame needs to wait any longer.
@@ -362,7 +448,9 @@ impl Synchroniser {
         let place = state.tree.camera_place(stamp_ns, &self.names, posture);
         let torso_rate = self.torso_rate(stamp_ns);
         let camera_twist = place.as_ref().ok().and_then(|place| self.camera_twist(stamp_ns, place, torso_rate));
-        let step = odometry.at(stamp_ns);
+        // After a gap in velocities nothing says how far the robot has walked.
+        let is_unknown = since_ns.is_some_and(|since_ns| state.velocity.has_gap_between(since_ns, stamp_ns));
+        let step = odometry.at(stamp_ns).filter(|_| !is_unknown);
         let ages = [
             step.map(|s| s.age_ns),
             attitude.map(|s| s.age_ns),
@@ -380,6 +468,8 @@ impl Synchroniser {
             camera_twist,
             turn_is_measured: torso_rate.is_some() && camera_twist.is_some(),
             stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
+            stamp_sigma_s: if state.is_by_log_time() { LOG_TIME_SIGMA_S } else { 0.0 },
+            tilt_sigma_rad: if attitude.is_some() { state.tilt_sigma_rad(stamp_ns) } else { 0.0 },
             initial_pose: None,
             anchor: None,
         }
@@ -436,8 +526,16 @@ impl Synchroniser {
     /// Takes transforms into the tree; that from `odom` to `base_footprint` is odometry.
     fn take_transforms(&mut self, latched: bool, transforms: Vec<StampedTransform>, log_time_ns: i64) {
         for t in transforms {
-            if t.child == self.names.base_footprint && t.parent == self.names.odom {
-                let odometry = Pose2::from_isometry(&t.parent_from_child);
+            let is_footprint = t.child == self.names.base_footprint;
+            // A footprint that hangs on the torso has the torso's odometry.
+            let of_torso =
+                (!is_footprint && t.parent == self.names.odom && t.parent_from_child.is_possible()).then(|| {
+                    let moving = MovingFrame { name: t.child.clone(), odom_from_frame: t.parent_from_child };
+                    self.footprint_below(t.stamp_ns, &moving)
+                });
+            let of_torso = of_torso.flatten();
+            if of_torso.is_some() || (is_footprint && t.parent == self.names.odom) {
+                let odometry = of_torso.unwrap_or_else(|| Pose2::from_isometry(&t.parent_from_child));
                 let before = self.state.odometry_in_tf.newest().map(|(_, odometry)| odometry);
                 let pushed = self.state.odometry_in_tf.push(t.stamp_ns, odometry);
                 if self.state.odometry.is_empty() {
@@ -506,6 +604,8 @@ impl Physical for SynchroniserState {
     fn is_possible(&self) -> bool {
         let Self { tree, odometry, odometry_in_tf, attitude, turn_rate, sway_rate, torso_rate, pan, tilt, .. } = self;
         tree.is_possible()
+            && self.attitude_filter.is_possible()
+            && self.velocity.is_possible()
             && [odometry, odometry_in_tf].iter().all(|history| history.is_possible())
             && [turn_rate, sway_rate, pan, tilt].iter().all(|history| history.is_possible())
             && (attitude.is_possible() && torso_rate.is_possible())
@@ -519,6 +619,19 @@ impl SynchroniserState {
     fn head(&self, stamp_ns: i64) -> Option<Head> {
         let [pan, tilt] = [&self.pan, &self.tilt].map(|joint| joint.at(stamp_ns).map(|sample| sample.value));
         (pan.is_some() || tilt.is_some()).then(|| Head { pan: pan.unwrap_or(0.0), tilt: tilt.unwrap_or(0.0) })
+    }
+
+    /// Returns whether odometry or turn rates have no stamps of their own.
+    fn is_by_log_time(&self) -> bool {
+        let odometry = self.odometry_by_log_time && !self.odometry.is_empty();
+        odometry || (self.attitude_by_log_time && !self.turn_rate.is_empty())
+    }
+
+    /// Returns the standard deviation that an attitude has because it was made here, or because its time is not known well.
+    fn tilt_sigma_rad(&self, stamp_ns: i64) -> f64 {
+        let made = if self.attitude_is_stated { 0.0 } else { MADE_TILT_SIGMA_RAD };
+        let sways = self.sway_rate.at(stamp_ns).filter(|_| self.attitude_by_log_time);
+        libm::hypot(made, sways.map_or(0.0, |rate| LOG_TIME_SIGMA_S * rate.value))
     }
 
     /// Returns the announced pose that no frame has been given out with yet.

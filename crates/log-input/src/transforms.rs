@@ -195,7 +195,7 @@ impl TransformTree {
     /// Returns whether every moving transform of the chain is known up to `stamp_ns`; true where there is no chain.
     pub fn is_known_until(&self, stamp_ns: i64, names: &FrameNames) -> bool {
         self.chain(&names.base_footprint, &names.camera_optical).map_or(true, |chain| {
-            chain.iter().all(|(_, edge)| match &edge.transform {
+            chain.iter().all(|link| match &link.edge.transform {
                 Transform::Static(_) => true,
                 Transform::Moving(history) => history.settled_ns().is_some_and(|settled| settled >= stamp_ns),
             })
@@ -212,7 +212,7 @@ impl TransformTree {
         let mut footprint_from_link = None;
         let mut footprint_from_base = Isometry::IDENTITY;
         let (mut tilt_is_measured, mut below_torso, mut lean_rad) = (false, false, None);
-        for (child, edge) in self.chain(&names.base_footprint, &names.camera_optical)? {
+        for Link { frame: child, edge, is_upwards } in self.chain(&names.base_footprint, &names.camera_optical)? {
             let step = match &edge.transform {
                 Transform::Moving(history) => {
                     tilt_is_measured |= !below_torso;
@@ -220,8 +220,13 @@ impl TransformTree {
                         .at(stamp_ns)
                         .unwrap_or(super::history::Sample { value: Isometry::IDENTITY, age_ns: i64::MAX });
                     age_ns = age_ns.max(sample.age_ns);
-                    sample.value
+                    if is_upwards { sample.value.inverse() } else { sample.value }
                 }
+                Transform::Static(constant) if is_upwards && child == names.base_link => {
+                    tilt_is_measured |= posture.attitude.is_some();
+                    with_attitude(constant.inverse(), posture.attitude)
+                }
+                Transform::Static(constant) if is_upwards => constant.inverse(),
                 Transform::Static(constant) if child == names.base_link => {
                     tilt_is_measured |= posture.attitude.is_some();
                     with_attitude(*constant, posture.attitude)
@@ -284,10 +289,10 @@ impl TransformTree {
             chain => chain?,
         };
         let mut moving = false;
-        for (child, edge) in chain {
+        for Link { frame, edge, .. } in chain {
             match &edge.transform {
                 Transform::Static(constant) if !is_mount(constant) => {
-                    return Err(ChainError::Impossible { frame: child.to_owned() });
+                    return Err(ChainError::Impossible { frame: frame.to_owned() });
                 }
                 Transform::Static(_) => {}
                 Transform::Moving(_) => moving = true,
@@ -303,24 +308,77 @@ impl TransformTree {
         }
     }
 
-    /// Returns the edges from `top` down to `bottom`, each with the name of its child frame.
-    fn chain(&self, top: &str, bottom: &str) -> Result<Vec<(&str, &Edge)>, ChainError> {
+    /// Returns the links that lead from `from` to `to`: down the tree, or first up to a common ancestor and then down.
+    ///
+    /// REP 105 has the torso below the footprint; robots that follow REP 120 send the footprint as a child of the torso.
+    fn chain<'a>(&'a self, from: &'a str, to: &'a str) -> Result<Vec<Link<'a>>, ChainError> {
+        let (mut down, root) = self.ancestors(to, from)?;
         let mut chain = Vec::new();
-        let mut here = bottom;
-        while here != top {
-            let Some((child, edge)) = self.edges.get_key_value(here) else {
-                let (from, to) = (top.to_owned(), bottom.to_owned());
-                return Err(ChainError::Broken { frame: here.to_owned(), from, to });
-            };
-            if chain.len() >= MAX_LINKS {
-                return Err(ChainError::Circle { frame: here.to_owned() });
+        if root != from {
+            let is_above = |frame: &str| frame == to || down.iter().any(|(_, edge)| edge.parent == frame);
+            let mut here = from;
+            while !is_above(here) {
+                let Some(edge) = self.edges.get(here) else {
+                    let (from, to) = (from.to_owned(), to.to_owned());
+                    return Err(ChainError::Broken { frame: root.to_owned(), from, to });
+                };
+                if chain.len() >= MAX_LINKS {
+                    return Err(ChainError::Circle { frame: here.to_owned() });
+                }
+                chain.push(Link { frame: &edge.parent, edge, is_upwards: true });
+                here = &edge.parent;
             }
-            chain.push((child.as_str(), edge));
-            here = &edge.parent;
+            let below = down.iter().position(|(child, _)| *child == here).unwrap_or(down.len());
+            down.truncate(below);
         }
-        chain.reverse();
+        chain.extend(down.into_iter().rev().map(|(frame, edge)| Link { frame, edge, is_upwards: false }));
         Ok(chain)
     }
+
+    /// Returns the edges from `frame` upwards, and the frame at which they end: `top`, or one without a parent.
+    fn ancestors<'a>(&'a self, frame: &'a str, top: &str) -> Result<(Vec<NamedEdge<'a>>, &'a str), ChainError> {
+        let mut edges = Vec::new();
+        let mut here = frame;
+        while here != top {
+            let Some((child, edge)) = self.edges.get_key_value(here) else { break };
+            if edges.len() >= MAX_LINKS {
+                return Err(ChainError::Circle { frame: here.to_owned() });
+            }
+            edges.push((child.as_str(), edge));
+            here = &edge.parent;
+        }
+        Ok((edges, here))
+    }
+
+    /// Returns the pose of the footprint in the torso's coordinate frame at a time, if it is a child of the torso.
+    pub fn base_from_footprint(&self, stamp_ns: i64, names: &FrameNames) -> Option<Isometry> {
+        let edge = self.edges.get(&names.base_footprint).filter(|edge| edge.parent == names.base_link)?;
+        match &edge.transform {
+            Transform::Static(constant) => Some(*constant),
+            Transform::Moving(history) => history.at(stamp_ns).map(|sample| sample.value),
+        }
+        .filter(is_mount)
+    }
+
+    /// Returns whether constants alone connect two coordinate frames, so that one is mounted on the other.
+    pub fn is_mounted_on(&self, a: &str, b: &str) -> bool {
+        a == b
+            || matches!((self.root_from(a), self.root_from(b)),
+                (Some((root_a, _)), Some((root_b, _))) if root_a == root_b)
+    }
+}
+
+/// An edge with the name of its child frame.
+type NamedEdge<'a> = (&'a str, &'a Edge);
+
+/// A step of a chain from one coordinate frame to the next.
+struct Link<'a> {
+    /// The coordinate frame that the step leads to.
+    frame: &'a str,
+    /// The edge that it goes along.
+    edge: &'a Edge,
+    /// Whether it goes from child to parent, against the direction of the transform.
+    is_upwards: bool,
 }
 
 /// Returns whether a part of a robot can be mounted on another part like this: finite, and at most 100 m away.
@@ -359,6 +417,47 @@ mod tests {
         tree.set_static("base_link", "camera_link", pitched);
         tree.set_static("camera_link", "camera_optical_frame", Isometry::link_from_optical());
         tree
+    }
+
+    /// REP 105 has the torso below the footprint, REP 120 the footprint below the torso: the camera is at the same place.
+    #[test]
+    fn a_footprint_that_hangs_on_the_torso_gives_the_same_camera() {
+        let lifted = Isometry::new(DQuat::IDENTITY, DVec3::new(0.0, 0.0, 0.44));
+        let mut hanging = TransformTree::default();
+        hanging.set_static("base_link", "base_footprint", lifted.inverse());
+        hanging.push(0, "odom", "base_link", Isometry::new(DQuat::IDENTITY, DVec3::X));
+        for (parent, child) in [("base_link", "camera_link"), ("camera_link", "camera_optical_frame")] {
+            let Some(Edge { transform: Transform::Static(constant), .. }) = robot().edges.get(child).cloned() else {
+                panic!("constants")
+            };
+            hanging.set_static(parent, child, constant);
+        }
+        let attitude = Some(Euler { roll: 0.05, pitch: 0.1, yaw: 2.0 }.rotation());
+        for attitude in [None, attitude] {
+            let posture = Posture { attitude, head: Some(Head { pan: 0.2, tilt: 0.1 }) };
+            let expected = robot().camera_place(0, &names(), posture).expect("a whole chain");
+            let found = hanging.camera_place(0, &names(), posture).expect("a whole chain");
+            let apart = found.footprint_from_optical.inverse() * expected.footprint_from_optical;
+            assert!(apart.translation.length() < 1e-12 && apart.rotation.angle_between(DQuat::IDENTITY) < 1e-7);
+            assert_eq!(found.tilt_is_measured, expected.tilt_is_measured);
+            assert_eq!(found.lean_rad.is_some(), expected.lean_rad.is_some());
+        }
+        assert!(hanging.check_constants(&names(), false).is_ok());
+        let step = hanging.base_from_footprint(0, &names()).expect("it hangs there");
+        assert!((step.translation + DVec3::Z * 0.44).length() < 1e-12);
+        assert_eq!(robot().base_from_footprint(0, &names()), None);
+    }
+
+    #[test]
+    fn a_chain_that_never_meets_is_broken_and_one_that_turns_is_a_circle() {
+        let mut tree = robot();
+        tree.set_static("ground", "base_footprint", Isometry::IDENTITY);
+        tree.edges.remove("base_link");
+        let broken = tree.camera_place(0, &names(), Posture::default()).expect_err("two trees");
+        assert!(matches!(broken, ChainError::Broken { frame, .. } if frame == "base_link"));
+        tree.set_static("base_footprint", "ground", Isometry::IDENTITY);
+        let circle = tree.camera_place(0, &names(), Posture::default()).expect_err("a circle above the footprint");
+        assert!(matches!(circle, ChainError::Circle { .. }));
     }
 
     #[test]

@@ -49,7 +49,7 @@ pub enum CheckpointError {
 
 const MAGIC: &[u8; 8] = b"RSIMCKPT";
 /// Version of the format; it counts up with every change of what is stored.
-pub const VERSION: u32 = 21;
+pub const VERSION: u32 = 22;
 /// Bytes of magic number, version and checksum.
 const HEADER: usize = 8 + 4 + 4;
 /// Most bytes that decoding may claim: a checkpoint of 2^20 particles has 40 MB.

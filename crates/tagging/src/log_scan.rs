@@ -1,17 +1,19 @@
 //! A first pass over a log, before its first frame: it reads calibration, transforms and one image only.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::setup::SetupError;
-use super::warnings::AttitudeSource;
+use super::warnings::{self, AttitudeSource};
 use realitysim_config::{Settings, Topics};
 use realitysim_log_input::decode;
 use realitysim_log_input::log::LogError;
 use realitysim_log_input::measurement::{self, Measurement};
-use realitysim_log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
-use realitysim_log_input::topic_resolution::{TopicTypes, resolve};
-use realitysim_ros2::mcap_read::{LogMessage, Selection};
-use realitysim_ros2::messages::{CameraInfo, Imu, JointState, Message, TFMessage};
+use realitysim_log_input::synchroniser::{Expected, GONE_NS, Synchroniser, SynchroniserState};
+use realitysim_log_input::topic_resolution::{self, ResolvedTopics, StreamFacts, TopicChoice, TopicTypes, resolve};
+use realitysim_ros2::mcap_read::{Channel, LogMessage, Selection};
+use realitysim_ros2::messages::{
+    CameraInfo, Image, ImageView, Imu, JointState, LowState, Message, Odometer, TFMessage, schema,
+};
 
 /// What a stream of messages says about topics, calibration and constant transforms.
 pub struct StreamInfo {
@@ -27,7 +29,14 @@ pub struct StreamInfo {
     pub expected: Expected,
     /// Where the torso's attitude comes from.
     pub attitude: AttitudeSource,
+    /// The topics that are read, and why each was chosen.
+    pub choices: Vec<TopicChoice>,
+    /// Findings that a user will want to know, as sentences.
+    pub warnings: Vec<String>,
 }
+
+/// Gives the messages of a selection of topics from the start of a stream.
+pub type Messages<'a> = &'a dyn Fn(Selection) -> Box<dyn Iterator<Item = Result<LogMessage, LogError>>>;
 
 /// Messages of each calibration and transform channel that are read; more are not needed to know the constants.
 const ENOUGH: u32 = 200;
@@ -44,19 +53,10 @@ impl StreamInfo {
         types: &TopicTypes,
         messages: impl Fn(Selection) -> Box<dyn Iterator<Item = Result<LogMessage, LogError>>>,
     ) -> Result<Self, SetupError> {
-        let configured = &settings.topics;
-        let wanted = types
-            .iter()
-            .filter(|(topic, kinds)| {
-                kinds.contains(CameraInfo::TYPE)
-                    || kinds.contains(TFMessage::TYPE)
-                    || **topic == configured.tf
-                    || **topic == configured.tf_static
-            })
-            .map(|(topic, _)| topic.clone());
-        let found: Vec<LogMessage> = first_of_each(messages(Selection::topics(wanted)))?;
-        let odometry_in_tf = found.iter().any(|message| moves_footprint(message, settings));
-        let topics = resolve(settings, types, odometry_in_tf)?;
+        let messages: Messages = &messages;
+        let found = constants(settings, types, messages)?;
+        let facts = facts(settings, types, &found, messages)?;
+        let ResolvedTopics { topics, choices } = resolve(settings, types, &facts)?;
         let mut synchroniser = Synchroniser::new(settings.frames.clone(), SynchroniserState::default());
         let mut camera_info = None;
         for message in &found {
@@ -76,13 +76,195 @@ impl StreamInfo {
             .and_then(decode::stated_size)
             .or_else(|| frames.by_ref().take(MAX_SIZES_TRIED).find_map(|message| decode::stated_size(&message.ok()?)));
         drop(frames);
-        let has = |topic: &String, kind: &str| types.get(topic).is_some_and(|kinds| kinds.contains(kind));
-        let expected = Expected { imu: has(&topics.imu, Imu::TYPE), joints: has(&topics.joints, JointState::TYPE) };
-        let imus =
-            types.iter().filter(|(_, kinds)| kinds.contains(Imu::TYPE)).map(|(topic, _)| topic.clone()).collect();
-        let attitude = AttitudeSource { topic: topics.imu.clone(), all: imus };
-        Ok(Self { topics, camera_info, image_size, synchroniser: synchroniser.state().clone(), expected, attitude })
+        check_schemas(&choices, messages)?;
+        let warnings = check_clocks(&choices, &topics, settings, messages)?;
+        let has = |topic: &String, kinds: &[&str]| {
+            types.get(topic).is_some_and(|has| kinds.iter().any(|kind| has.contains(*kind)))
+        };
+        let expected = Expected {
+            imu: has(&topics.imu, &[Imu::TYPE, LowState::TYPE]),
+            joints: has(&topics.joints, &[JointState::TYPE, LowState::TYPE]),
+        };
+        let attitude = AttitudeSource { topic: topics.imu.clone(), all: topic_resolution::imus(types) };
+        let synchroniser = synchroniser.state().clone();
+        Ok(Self { topics, camera_info, image_size, synchroniser, expected, attitude, choices, warnings })
     }
+}
+
+/// Finds out which topics a stream would be read from, as [`StreamInfo::read`] does.
+pub fn topics_of(settings: &Settings, types: &TopicTypes, messages: Messages) -> Result<ResolvedTopics, SetupError> {
+    let found = constants(settings, types, messages)?;
+    Ok(resolve(settings, types, &facts(settings, types, &found, messages)?)?)
+}
+
+/// The first messages of calibrations and transforms.
+fn constants(settings: &Settings, types: &TopicTypes, messages: Messages) -> Result<Vec<LogMessage>, LogError> {
+    let configured = &settings.topics;
+    let wanted = types
+        .iter()
+        .filter(|(topic, kinds)| {
+            kinds.contains(CameraInfo::TYPE)
+                || kinds.contains(TFMessage::TYPE)
+                || **topic == configured.tf
+                || **topic == configured.tf_static
+        })
+        .map(|(topic, _)| topic.clone());
+    first_of_each(messages(Selection::topics(wanted)))
+}
+
+/// What messages say about topics beyond their types.
+fn facts(
+    settings: &Settings,
+    types: &TopicTypes,
+    found: &[LogMessage],
+    messages: Messages,
+) -> Result<StreamFacts, LogError> {
+    let odometry_in_tf = has_odometry_in_tf(found, settings);
+    let (images, imus) = (topic_resolution::images(types), topic_resolution::imus(types));
+    let mut facts = StreamFacts { odometry_in_tf, ..StreamFacts::default() };
+    if images.len() > 1 && !images.contains(&settings.topics.image) {
+        for topic in images {
+            let first = first_of(&topic, messages)?;
+            if first.is_some_and(|message| is_no_picture(&message)) {
+                facts.not_pictures.insert(topic);
+            }
+        }
+    }
+    if imus.len() > 1 && !imus.contains(&settings.topics.imu) {
+        facts.mounted_imus = mounted_imus(settings, found, imus, messages)?;
+    }
+    Ok(facts)
+}
+
+/// Whether a message is an image of something else than brightness or colour: depths, in the encodings of REP 118.
+fn is_no_picture(message: &LogMessage) -> bool {
+    message.channel.type_name == Image::TYPE
+        && ImageView::decode(&message.data).is_ok_and(|image| ["16UC1", "32FC1"].contains(&image.encoding))
+}
+
+/// The inertial sensors whose coordinate frame constants connect to the torso.
+fn mounted_imus(
+    settings: &Settings,
+    found: &[LogMessage],
+    imus: Vec<String>,
+    messages: Messages,
+) -> Result<BTreeSet<String>, LogError> {
+    let mut synchroniser = Synchroniser::new(settings.frames.clone(), SynchroniserState::default());
+    for message in found {
+        if let Ok(input @ Measurement::Transforms { .. }) = measurement::read(message, &settings.topics, &settings.head)
+        {
+            synchroniser.push(message, input);
+        }
+    }
+    let mut mounted = BTreeSet::new();
+    for topic in imus {
+        let first = first_of(&topic, messages)?;
+        let frame = first.and_then(|message| Imu::decode(&message.data).ok()).map(|imu| imu.header.frame_id);
+        if frame.is_some_and(|frame| synchroniser.is_mounted_on_torso(&frame)) {
+            mounted.insert(topic);
+        }
+    }
+    Ok(mounted)
+}
+
+/// The first message of a topic.
+fn first_of(topic: &str, messages: Messages) -> Result<Option<LogMessage>, LogError> {
+    let is_of_it = |message: &Result<LogMessage, LogError>| {
+        message.as_ref().map_or(true, |message| message.channel.topic == topic)
+    };
+    messages(Selection::topics([topic])).find(is_of_it).transpose()
+}
+
+/// Refuses a topic whose type is defined otherwise than its name says, since its numbers would be read as others.
+fn check_schemas(choices: &[TopicChoice], messages: Messages) -> Result<(), SetupError> {
+    for choice in choices {
+        let Some(first) = first_of(&choice.topic, messages)? else { continue };
+        let Channel { topic, type_name, schema_encoding, definition, .. } = first.channel.as_ref();
+        if schema_encoding == "ros2msg"
+            && let Some(difference) = schema::difference(type_name, definition)
+        {
+            let (topic, type_name, difference) = (topic.clone(), type_name.clone(), Box::new(difference));
+            return Err(SetupError::Schema { topic, type_name, difference });
+        }
+    }
+    Ok(())
+}
+
+/// Number of messages of a topic whose stamps are compared with the times of the log.
+const CLOCK_SAMPLES: usize = 20;
+/// Largest difference between stamps and log times, nanoseconds, with which a log's times can stand for missing stamps. Images
+/// take some tenths of a second from their exposure to the log.
+const MAX_STAMP_OFFSET_NS: i64 = 500_000_000;
+/// Largest difference between the stamps of two topics, by the log's times, before it is told, nanoseconds: beyond it no
+/// measurement of one is used for the other.
+const MAX_APART_NS: i64 = GONE_NS;
+
+/// Compares stamps with the times at which messages were logged. Fails if some topics have no stamps and those of the others are of
+/// another clock than the log's; warns if the stamps of two topics are of different clocks.
+fn check_clocks(
+    choices: &[TopicChoice],
+    topics: &Topics,
+    settings: &Settings,
+    messages: Messages,
+) -> Result<Vec<String>, SetupError> {
+    let is_unstamped = |choice: &&TopicChoice| [Odometer::TYPE, LowState::TYPE].contains(&choice.type_name.as_str());
+    let unstamped = choices.iter().find(is_unstamped);
+    let mut offsets: Vec<(String, i64)> = Vec::new();
+    for measurement in ["image", "odometry", "imu", "tf"] {
+        let Some(choice) = choices.iter().find(|choice| choice.measurement == measurement) else { continue };
+        if is_unstamped(&choice) || offsets.iter().any(|(topic, _)| *topic == choice.topic) {
+            continue;
+        }
+        if let Some(offset_ns) = stamp_offset_ns(&choice.topic, topics, settings, messages)? {
+            offsets.push((choice.topic.clone(), offset_ns));
+        }
+    }
+    let Some(((image, image_offset_ns), others)) = offsets.split_first().filter(|(first, _)| first.0 == topics.image)
+    else {
+        return Ok(Vec::new());
+    };
+    if let Some(unstamped) = unstamped
+        && image_offset_ns.saturating_abs() > MAX_STAMP_OFFSET_NS
+    {
+        let agreeing = others.iter().find(|(_, offset_ns)| offset_ns.saturating_abs() <= MAX_STAMP_OFFSET_NS);
+        return Err(SetupError::Clocks {
+            unstamped: unstamped.topic.clone(),
+            stamped: image.clone(),
+            offset_s: *image_offset_ns as f64 * 1e-9,
+            agreeing: agreeing.map(|(topic, _)| topic.clone()),
+        });
+    }
+    let apart = others.iter().map(|(topic, offset_ns)| (topic, image_offset_ns.saturating_sub(*offset_ns)));
+    let told = apart.filter(|(_, apart_ns)| apart_ns.saturating_abs() > MAX_APART_NS);
+    Ok(told.map(|(topic, apart_ns)| warnings::clocks_apart(image, topic, apart_ns as f64 * 1e-9)).collect())
+}
+
+/// The median by which the first messages of a topic were logged after their stamps, nanoseconds; `None` without stamps.
+fn stamp_offset_ns(
+    topic: &str,
+    topics: &Topics,
+    settings: &Settings,
+    messages: Messages,
+) -> Result<Option<i64>, LogError> {
+    let mut offsets = Vec::new();
+    for message in messages(Selection::topics([topic])) {
+        let message = message?;
+        if message.channel.topic != topic {
+            continue;
+        }
+        let stamp_ns = match measurement::read(&message, topics, &settings.head) {
+            Ok(Measurement::Frame { stamp_ns, .. } | Measurement::Imu { stamp_ns, .. }) => Some(stamp_ns),
+            Ok(Measurement::Odometry { stamp_ns, .. } | Measurement::Velocity { stamp_ns, .. }) => Some(stamp_ns),
+            Ok(Measurement::Transforms { transforms, .. }) => transforms.first().map(|first| first.stamp_ns),
+            _ => None,
+        };
+        offsets.extend(stamp_ns.map(|stamp_ns| message.log_time_ns.saturating_sub(stamp_ns)));
+        if offsets.len() >= CLOCK_SAMPLES {
+            break;
+        }
+    }
+    offsets.sort_unstable();
+    Ok(offsets.get(offsets.len() / 2).copied())
 }
 
 /// Checks that the transforms can lead to the camera, before anything is written.
@@ -119,12 +301,18 @@ fn first_of_each(messages: impl Iterator<Item = Result<LogMessage, LogError>>) -
     Ok(kept)
 }
 
-/// Whether a message has the transform from `odom` to `base_footprint`, which is odometry.
-fn moves_footprint(message: &LogMessage, settings: &Settings) -> bool {
+/// Whether messages have the transform from `odom` to `base_footprint`, or to the `base_link` that the footprint hangs on.
+fn has_odometry_in_tf(found: &[LogMessage], settings: &Settings) -> bool {
     let names = &settings.frames;
-    let is_step = |t: &measurement::StampedTransform| t.parent == names.odom && t.child == names.base_footprint;
-    matches!(
-        measurement::read(message, &settings.topics, &settings.head),
-        Ok(Measurement::Transforms { transforms, .. }) if transforms.iter().any(is_step)
-    )
+    let has = |parent: &String, child: &String| {
+        found.iter().any(|message| {
+            matches!(
+                measurement::read(message, &settings.topics, &settings.head),
+                Ok(Measurement::Transforms { transforms, .. })
+                    if transforms.iter().any(|t| t.parent == *parent && t.child == *child)
+            )
+        })
+    };
+    has(&names.odom, &names.base_footprint)
+        || (has(&names.odom, &names.base_link) && has(&names.base_link, &names.base_footprint))
 }

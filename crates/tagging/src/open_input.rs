@@ -7,7 +7,7 @@ use super::checkpoint::{Checkpoint, CheckpointError};
 use super::error::ReplayError;
 use super::log_scan::StreamInfo;
 use super::setup::{Setup, SetupError};
-use realitysim_config::Settings;
+use realitysim_config::{Settings, Topics};
 use realitysim_log_input::log::{self as logs, LogError, LogSource, StoredCheckpoint};
 use realitysim_log_input::scene_source::SceneSource;
 use realitysim_log_input::topic_resolution;
@@ -47,8 +47,11 @@ pub fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayError> {
     let surveys = logs::surveys(&files)?;
     let stored = stored_state(&files, &surveys)?;
     let mut types = logs::topic_types(&surveys);
-    let lacks_images = topic_resolution::image(&settings.topics.image, &types).is_err();
-    let lacks_odometry = !types.values().any(|types| types.contains(Odometry::TYPE));
+    let wanted = &settings.topics.image;
+    let is_asked_for = *wanted != Topics::default().image;
+    let lacks_images = topic_resolution::image(wanted, &types).is_err()
+        && (is_asked_for || topic_resolution::images(&types).is_empty());
+    let lacks_odometry = !topic_resolution::has_odometry(&settings.topics.odometry, &types);
     if stored.is_of_capture {
         // The camera or the odometry may have sent nothing during this segment. The other measurements are still of use.
         let mut expect = |topic: &str, name: &str| types.entry(topic.to_owned()).or_default().insert(name.to_owned());
@@ -69,13 +72,14 @@ pub fn log(path: &Path, settings: &Settings) -> Result<OpenLog, ReplayError> {
         .map_err(|error| setup_error(path, error, lost()))?;
     let frames = surveys.iter().flat_map(|survey| &survey.topics).filter(|topic| topic.topic == prelude.topics.image);
     let frames = frames.map(|topic| topic.messages).sum();
+    let clocks = prelude.warnings.clone();
     let setup = Setup::new(settings.clone(), prelude).map_err(|error| setup_error(path, error, lost()))?;
     Ok(OpenLog {
         setup,
         checkpoint: stored.checkpoint,
         frames,
         lost: missing.into_iter().chain(stored.loss).collect(),
-        warnings: stored.warning.into_iter().collect(),
+        warnings: stored.warning.into_iter().chain(clocks).collect(),
         decided: if settings.filter.budget_ms > 0.0 { decisions(&files) } else { Decisions::new() },
         messages: LogSource::new(files, Selection::All),
     })

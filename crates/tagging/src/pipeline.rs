@@ -24,6 +24,7 @@ use super::warm_start::InitialState;
 use super::warnings::{self, AttitudeSource};
 use realitysim_config::{Settings, Topics};
 use realitysim_geometry::{Field, FieldDimensions, Isometry, LensParameters, PoseGrid};
+use realitysim_log_input::topic_resolution::TopicChoice;
 use realitysim_log_input::{FrameAssembler, measurement};
 use realitysim_recording::storage::Disk;
 use realitysim_recording::{
@@ -73,6 +74,7 @@ pub struct Pipeline {
     body_masks: Vec<Vec<u32>>,
     dimensions: FieldDimensions,
     attitude: AttitudeSource,
+    choices: Vec<TopicChoice>,
     assembler: FrameAssembler,
     perception_pool: PerceptionPool,
     tagger: Tagger,
@@ -106,7 +108,7 @@ impl Pipeline {
             (Some(checkpoint.synchroniser.clone()), checkpoint.dead_reckoning.clone())
         });
         let assembler = setup.assembler(known, start.initial.is_some());
-        let Setup { settings, topics, lens, dimensions, field, perception, attitude, .. } = setup;
+        let Setup { settings, topics, lens, dimensions, field, perception, attitude, choices, .. } = setup;
         let thinning = settings.recording.thinning.clone();
         let grid = PoseGrid::new(field.carpet_half_extent(), thinning.cell_m, usize::from(thinning.headings));
         let tagger = start.tagger(&settings, field, perception.vision.lens());
@@ -118,6 +120,7 @@ impl Pipeline {
             body_masks: perception.body_masks(),
             dimensions,
             attitude,
+            choices,
             assembler,
             perception_pool: PerceptionPool::new(Arc::clone(&perception), recording.threads),
             tagger,
@@ -233,6 +236,8 @@ impl Pipeline {
         let heard = self.assembler.synchroniser.knows_attitude();
         let all = [
             self.attitude.warning(stats.without_tilt, stats.tags, heard, frames),
+            warnings::made_attitude(&self.topics.imu, self.assembler.synchroniser.makes_attitude()),
+            warnings::without_stamps(&self.choices),
             warnings::unplaced(field, &stats.invalid, stats.tags, || self.cause()),
             warnings::no_picture(&stats.invalid, stats.tags),
             warnings::never_upright(&topics.imu, &stats.invalid, stats.tags),

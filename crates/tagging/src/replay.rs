@@ -92,6 +92,7 @@ impl Run {
             iterations: filter.iterations,
             adaptive: filter.adaptive,
             threads: recording.threads,
+            read: setup.choices.clone(),
             ..ReplayReport::default()
         };
         report.warnings.extend(setup.lens_warning.clone());

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use realitysim_log_input::topic_resolution::TopicChoice;
 use realitysim_recording::Loss;
 use realitysim_ros2::mcap_read::Damage;
 
@@ -13,6 +14,8 @@ use realitysim_ros2::mcap_read::Damage;
 pub struct ReplayReport {
     /// Folder of the session.
     pub session: PathBuf,
+    /// The topics that were read, and why each was chosen.
+    pub read: Vec<TopicChoice>,
     /// Number of frames written.
     pub frames: u64,
     /// Number of frames tagged.

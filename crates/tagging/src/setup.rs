@@ -15,9 +15,10 @@ use realitysim_log_input::FrameAssembler;
 use realitysim_log_input::body_mask;
 use realitysim_log_input::log::LogError;
 use realitysim_log_input::synchroniser::{Expected, Synchroniser, SynchroniserState};
-use realitysim_log_input::topic_resolution::TopicError;
+use realitysim_log_input::topic_resolution::{PictureName, TopicChoice, TopicError};
 use realitysim_log_input::transforms::{ChainError, Head};
 use realitysim_ros2::messages::CameraInfo;
+use realitysim_ros2::messages::schema::SchemaDifference;
 use realitysim_vision::{BodyMask, Vision, VisionSettings};
 
 /// Why the pipeline cannot be set up.
@@ -57,6 +58,37 @@ pub enum SetupError {
         /// The topic of the calibration.
         topic: String,
     },
+    /// The type of a topic is defined otherwise than its name says.
+    #[error(
+        "{topic}: its type {type_name} is defined otherwise than this program reads it: {}. Record it with the usual definition, or \
+         name another topic",
+        told(difference)
+    )]
+    Schema {
+        /// The topic.
+        topic: String,
+        /// Name of its type.
+        type_name: String,
+        /// The first field that differs.
+        difference: Box<SchemaDifference>,
+    },
+    /// Some topics have no stamps, and the stamps of the images are of another clock than the log's times.
+    #[error(
+        "{unstamped} has no stamps, so that the times of the log stand for them, but the stamps on {stamped} are {:.1} s {} the log's: {}",
+        offset_s.abs(),
+        if *offset_s > 0.0 { "before" } else { "after" },
+        off_clock(stamped, agreeing)
+    )]
+    Clocks {
+        /// A topic without stamps.
+        unstamped: String,
+        /// The topic of the images.
+        stamped: String,
+        /// Time from stamp to log, seconds.
+        offset_s: f64,
+        /// A topic whose stamps agree with the times of the log.
+        agreeing: Option<String>,
+    },
     /// The transforms cannot lead to the camera.
     #[error(transparent)]
     Mount(#[from] ChainError),
@@ -68,6 +100,26 @@ pub enum SetupError {
         /// What is wrong.
         message: String,
     },
+}
+
+/// Says in which field a definition differs.
+fn told(difference: &SchemaDifference) -> String {
+    let SchemaDifference { within, found, expected } = difference;
+    let within = if within.is_empty() { String::new() } else { format!(" of {within}") };
+    let quoted = |field: &Option<String>| field.as_ref().map_or("nothing".to_owned(), |field| format!("`{field}`"));
+    format!("it has {} where {}{within} is expected", quoted(found), quoted(expected))
+}
+
+/// Says which clock is off, and what mends it.
+fn off_clock(stamped: &str, agreeing: &Option<String>) -> String {
+    match agreeing {
+        Some(agreeing) => format!(
+            "those on {agreeing} agree with the log's, so the camera's clock is off. Set the clock that stamps {stamped} by the robot's"
+        ),
+        None => "the recorder's clock is not the one that stamps. Record with that clock (of a simulation with `ros2 bag record \
+                 --use-sim-time`), and keep the times of the log when it is converted"
+            .to_owned(),
+    }
 }
 
 /// Everything that the pipeline needs before the first message, checked.
@@ -92,6 +144,8 @@ pub struct Setup {
     pub synchroniser: SynchroniserState,
     /// Where the torso's attitude comes from.
     pub attitude: AttitudeSource,
+    /// The topics that are read, and why each was chosen.
+    pub choices: Vec<TopicChoice>,
 }
 
 impl Setup {
@@ -109,7 +163,7 @@ impl Setup {
         let (lens, lens_warning) = lens(&settings, &prelude)?;
         let (field, dimensions) = field(&settings)?;
         let perception = Arc::new(FramePerception::new(&settings, &lens, field.line_width())?);
-        let StreamInfo { topics, expected, synchroniser, attitude, .. } = prelude;
+        let StreamInfo { topics, expected, synchroniser, attitude, choices, .. } = prelude;
         let lens = lens.parameters().clone();
         Ok(Self {
             settings,
@@ -122,6 +176,7 @@ impl Setup {
             expected,
             synchroniser,
             attitude,
+            choices,
         })
     }
 }
@@ -146,7 +201,7 @@ struct BodyRange {
 fn lens(settings: &Settings, prelude: &StreamInfo) -> Result<(Lens, Option<String>), SetupError> {
     let (origin, mut parameters) = match (&settings.camera.lens, &prelude.camera_info) {
         (Some(file), _) => (file, lens_of_file(file, prelude.image_size)?),
-        (None, Some(info)) => (&prelude.topics.camera_info, lens_of(info, &prelude.topics.camera_info)?),
+        (None, Some(info)) => (&prelude.topics.camera_info, lens_of(info, &prelude.topics)?),
         (None, None) => return Err(SetupError::NoMessage { topic: prelude.topics.camera_info.clone() }),
     };
     parameters.fov_deg = settings.camera.fov_deg.or(parameters.fov_deg);
@@ -177,8 +232,20 @@ fn lens_of_file(file: &str, image_size: Option<[u32; 2]>) -> Result<LensParamete
 ///
 /// The matrix is that of the whole image. The region of interest counts in its pixels, and `binning_x` by `binning_y` of them
 /// make one pixel of the image (ros2/common_interfaces, sensor_msgs/msg/CameraInfo.msg).
-fn lens_of(info: &CameraInfo, topic: &str) -> Result<LensParameters, SetupError> {
-    let whole = lens_from_camera_info(info.width, info.height, &info.distortion_model, &info.d, &info.k)
+///
+/// `k` and `d` are those of the camera itself. A rectified picture has no distortion, and its intrinsics are the left part of `p`.
+/// Drivers that send nothing but rectified pictures state `d` as zeros and `k` as `p` has it.
+fn lens_of(info: &CameraInfo, topics: &Topics) -> Result<LensParameters, SetupError> {
+    let topic = &topics.camera_info;
+    let [fx, skew, cx, _, below_fx, fy, cy, _, bottom @ .., _] = info.p;
+    let is_rectified = PictureName::of(&topics.image).is_rectified() && info.d.iter().any(|d| *d != 0.0) && fx != 0.0;
+    let (model, d, k) = if is_rectified {
+        let [b0, b1, b2] = bottom;
+        ("plumb_bob", &[][..], [fx, skew, cx, below_fx, fy, cy, b0, b1, b2])
+    } else {
+        (info.distortion_model.as_str(), &info.d[..], info.k)
+    };
+    let whole = lens_from_camera_info(info.width, info.height, model, d, &k)
         .map_err(|source| SetupError::CameraInfo { topic: topic.to_owned(), source })?;
     let refused = |what: String| SetupError::CameraInfoPart { topic: topic.to_owned(), what };
     let roi = &info.roi;

@@ -237,5 +237,7 @@ fn sensors_at(stamp_ns: i64, robot: &RobotState) -> FrameSensors {
         tilt_is_measured: robot.place.as_ref().is_ok_and(|place| place.tilt_is_measured),
         lean_rad: robot.place.as_ref().ok().and_then(|place| place.lean_rad),
         stale: robot.stale,
+        stamp_sigma_s: robot.stamp_sigma_s,
+        tilt_sigma_rad: robot.tilt_sigma_rad,
     }
 }

@@ -1,14 +1,16 @@
 //! Warnings: findings that a user will want to know although nothing failed.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::filter_stats::FilterStats;
 use super::report::Quantiles;
 use realitysim_config::FrameNames;
 use realitysim_geometry::physical::MAX_MAGNITUDE;
 use realitysim_localization::{LensOff, Rejection};
-use realitysim_log_input::synchroniser::GONE_NS;
-use realitysim_ros2::messages::{Imu, Message};
+use realitysim_log_input::attitude_filter::MADE_TILT_SIGMA_RAD;
+use realitysim_log_input::synchroniser::{GONE_NS, LOG_TIME_SIGMA_S};
+use realitysim_log_input::topic_resolution::TopicChoice;
+use realitysim_ros2::messages::{Imu, LowState, Message, Odometer};
 
 /// Rejections of frames that show lines which fit nowhere.
 const LOST: [Rejection; 5] = [
@@ -164,6 +166,43 @@ pub fn begun_anew(count: u64) -> Option<String> {
     })
 }
 
+/// Warns that the stamps of two topics are of different clocks: those of `topic` are `apart_s` seconds later than those of `image`,
+/// by the times at which both were logged.
+pub fn clocks_apart(image: &str, topic: &str, apart_s: f64) -> String {
+    let order = if apart_s > 0.0 { "after" } else { "before" };
+    format!(
+        "by the times of the log, the stamps on {topic} are {:.1} s {order} those on {image}: their clocks differ, so that they are not \
+         brought together. Let one clock stamp both",
+        apart_s.abs()
+    )
+}
+
+/// Warns that measurements have no stamps of their own.
+pub fn without_stamps(choices: &[TopicChoice]) -> Option<String> {
+    let unstamped =
+        choices.iter().filter(|choice| [Odometer::TYPE, LowState::TYPE].contains(&choice.type_name.as_str()));
+    let topics: BTreeSet<&str> = unstamped.map(|choice| choice.topic.as_str()).collect();
+    let named: Vec<&str> = topics.into_iter().collect();
+    (!named.is_empty()).then(|| {
+        format!(
+            "{} without stamps: the times of the log stand for them, and are believed to {:.0} ms. What moves is less certain for it",
+            named.join(" and "),
+            LOG_TIME_SIGMA_S * 1e3
+        )
+    })
+}
+
+/// Warns that the attitude was made of raw turn rates and accelerations.
+pub fn made_attitude(imu: &str, is_made: bool) -> Option<String> {
+    is_made.then(|| {
+        format!(
+            "{imu} states no orientation: roll and pitch were made of its turn rates and accelerations, and are believed to {:.1} degrees. \
+             The topic of a filter that computes them, such as imu_filter_madgwick, is better while the robot walks",
+            MADE_TILT_SIGMA_RAD.to_degrees()
+        )
+    })
+}
+
 /// Where the torso's attitude comes from.
 #[derive(Clone, Debug)]
 pub struct AttitudeSource {
@@ -193,8 +232,9 @@ impl AttitudeSource {
             format!("{topic} had told no attitude yet, or none for {} s", GONE_NS / 1_000_000_000)
         } else if all.contains(topic) {
             format!(
-                "{topic} states no orientation (orientation_covariance[0] is -1, or the quaternion is zero): record the \
-                 topic of a filter that computes it, such as imu_filter_madgwick"
+                "{topic} states no orientation (orientation_covariance[0] is -1, or the quaternion is zero), and none could be made of \
+                 its turn rates and accelerations, since the robot never stood quietly for a second: record the topic of a filter \
+                 that computes it, such as imu_filter_madgwick"
             )
         } else if all.is_empty() {
             format!("the log has no topic of type {kind}: record the torso's attitude")

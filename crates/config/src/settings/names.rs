@@ -10,11 +10,12 @@ pub struct Topics {
     pub image: String,
     /// Calibration of the camera: `sensor_msgs/CameraInfo`; not needed with `camera.lens`.
     pub camera_info: String,
-    /// Attitude against gravity: `sensor_msgs/Imu`.
+    /// Attitude against gravity: `sensor_msgs/Imu` or `booster_interface/LowState`.
     pub imu: String,
-    /// Odometry of `base_footprint`: `nav_msgs/Odometry`.
+    /// Odometry of `base_footprint`: `nav_msgs/Odometry`, `booster_interface/Odometer`, or a stamped pose or twist of
+    /// `geometry_msgs`.
     pub odometry: String,
-    /// Angles of the head's joints: `sensor_msgs/JointState`.
+    /// Angles of the head's joints: `sensor_msgs/JointState` or `booster_interface/LowState`.
     pub joints: String,
     /// Transforms that change: `tf2_msgs/TFMessage`.
     pub tf: String,

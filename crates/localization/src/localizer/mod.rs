@@ -116,6 +116,12 @@ pub struct FrameSensors {
     pub lean_rad: Option<f64>,
     /// Whether a measurement is too old to describe a moving robot.
     pub stale: bool,
+    /// Standard deviation of the times of odometry and gyro, seconds, beyond what the motion model allows for; 0 if they are stamped
+    /// by the sensor. A robot that moves is elsewhere at another time.
+    pub stamp_sigma_s: f64,
+    /// Standard deviation of the torso's roll and pitch in this frame, radians, beyond what the motion model allows for; 0 if the
+    /// sensor states and stamps its attitude.
+    pub tilt_sigma_rad: f64,
 }
 
 /// Estimated differences of a lens from its calibration, each with its standard deviation.
@@ -454,7 +460,7 @@ impl Localizer {
         };
         let seconds = (moment.stamp_ns.saturating_sub(last_ns) as f64 * 1e-9).clamp(0.0, MAX_STEP_S);
         if self.settings.random_walk {
-            return Step { odometry: None, turned_rad: None, seconds };
+            return Step { odometry: None, turned_rad: None, seconds, stamp_sigma_s: 0.0 };
         }
         // Odometry that is the same to the last bit counts only if the torso is known to stand still too.
         let stands = moment.swayed_rad.is_some_and(|swayed| swayed <= SWAYS_RAD_PER_S * seconds);
@@ -462,7 +468,7 @@ impl Localizer {
         let odometry = odometry.map(|(before, now)| before.inverse().compose(&now));
         let possible = |step: &Pose2| libm::hypot(step.x, step.y) <= SPEED_LIMIT_M_PER_S * seconds.max(0.1);
         let turned_rad = moment.turned_rad.filter(|turned| turned.abs() <= TURN_RATE_LIMIT_RAD_PER_S * seconds);
-        Step { odometry: odometry.filter(possible), turned_rad, seconds }
+        Step { odometry: odometry.filter(possible), turned_rad, seconds, stamp_sigma_s: moment.stamp_sigma_s }
     }
 
     /// The step for the particles: odometry, whose turn is replaced by that of the gyro if there is one.
@@ -621,7 +627,15 @@ impl Localizer {
     /// The noise of the slow states for this frame.
     fn model(&self, moment: &FrameSensors) -> SlowStateModel {
         let model = self.settings.track;
-        if moment.tilt_is_measured { model } else { SlowStateModel { tilt_noise_rad: UNMEASURED_TILT_RAD, ..model } }
+        if !moment.tilt_is_measured {
+            return SlowStateModel { tilt_noise_rad: UNMEASURED_TILT_RAD, ..model };
+        }
+        if moment.tilt_sigma_rad == 0.0 {
+            return model;
+        }
+        // A tilt that is measured badly is never worth less than one that is not measured.
+        let tilt_noise_rad = libm::hypot(model.tilt_noise_rad, moment.tilt_sigma_rad).min(UNMEASURED_TILT_RAD);
+        SlowStateModel { tilt_noise_rad, ..model }
     }
 
     /// The answer without refinement by lines: the track's prediction, or the camera of the best particle if poses are not refined.

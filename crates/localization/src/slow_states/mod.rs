@@ -140,12 +140,21 @@ pub struct Step {
     pub turned_rad: Option<f64>,
     /// Time since the last frame.
     pub seconds: f64,
+    /// Standard deviation of the times at both ends of the step, seconds, beyond what the model's shares allow for.
+    pub stamp_sigma_s: f64,
 }
 
 impl Step {
     /// No motion in no time.
     pub fn none() -> Self {
-        Self { odometry: Some(Pose2::default()), turned_rad: None, seconds: 0.0 }
+        Self { odometry: Some(Pose2::default()), turned_rad: None, seconds: 0.0, stamp_sigma_s: 0.0 }
+    }
+
+    /// The error of a motion of `length`, metres or radians, at whose ends the times are wrong: the speed times the error of
+    /// both times, which are independent.
+    fn time_error(&self, length: f64) -> f64 {
+        let rate = if self.seconds > 0.0 { length.abs() / self.seconds } else { 0.0 };
+        core::f64::consts::SQRT_2 * self.stamp_sigma_s * rate
     }
 }
 
@@ -304,6 +313,8 @@ impl SlowStateFilter {
         };
         let by_gyro = step.turned_rad.map(|turned| self.turn_by_gyro(turned, seconds, &by_odometry, model));
         let turn = by_gyro.unwrap_or(by_odometry);
+        let walked_at_other_time = step.time_error(libm::hypot(walked.x, walked.y));
+        let turned_at_other_time = step.time_error(turn.turn_rad);
         let step = walked;
         let (sin, cos) = libm::sincos(self.mean[YAW]);
         let grown = 1.0 + self.mean[DISTANCE];
@@ -326,9 +337,10 @@ impl SlowStateFilter {
             // A slow error never becomes less certain than at the start.
             self.covariance[(index, index)] = grown.min(most.max(self.covariance[(index, index)]));
         };
-        add(X, xy * xy, f64::INFINITY);
-        add(Y, xy * xy, f64::INFINITY);
-        add(YAW, turn.sigma_rad * turn.sigma_rad, f64::INFINITY);
+        let xy_variance = xy * xy + walked_at_other_time * walked_at_other_time;
+        add(X, xy_variance, f64::INFINITY);
+        add(Y, xy_variance, f64::INFINITY);
+        add(YAW, turn.sigma_rad * turn.sigma_rad + turned_at_other_time * turned_at_other_time, f64::INFINITY);
         for index in [TORSO_ROLL, TORSO_PITCH] {
             add(index, TILT_WALK_RAD * TILT_WALK_RAD * seconds, model.torso_tilt_rad * model.torso_tilt_rad);
         }

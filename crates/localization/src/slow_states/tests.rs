@@ -24,7 +24,7 @@ fn walked(
     let place = Pose2::default().to_isometry().inverse() * camera(&Pose2::default());
     for _ in 0..frames {
         truth = truth.compose(&step);
-        let told = Step { odometry: odometry(step), turned_rad: gyro(step.yaw), seconds: 0.1 };
+        let told = Step { odometry: odometry(step), turned_rad: gyro(step.yaw), seconds: 0.1, stamp_sigma_s: 0.0 };
         track.predict(&told, &MODEL(), 0.04, 0.1);
         let prediction = track.prior(&place, &MODEL());
         let off = error_between(&prediction.prior.map_from_optical, &camera(&truth));
@@ -65,7 +65,7 @@ fn a_gyro_s_bias_is_learnt_and_odometry_s_turn_does_not_matter_then() {
 #[test]
 fn a_gyro_that_contradicts_odometry_leaves_both_possible() {
     let mut track = SlowStateFilter::around(Pose2::default(), 0.01, 0.01, &MODEL());
-    let told = Step { odometry: Some(Pose2::default()), turned_rad: Some(0.4), seconds: 0.1 };
+    let told = Step { odometry: Some(Pose2::default()), turned_rad: Some(0.4), seconds: 0.1, stamp_sigma_s: 0.0 };
     track.predict(&told, &MODEL(), 0.04, 0.1);
     let (_, yaw_sigma) = track.spread();
     assert!((track.pose().yaw - 0.4).abs() < 1e-12 && (0.39..0.5).contains(&yaw_sigma), "{yaw_sigma}");
@@ -150,7 +150,7 @@ fn the_covariance_stays_one_whatever_is_doubted() {
     for round in 0..200 {
         let off = Errors::repeat(10f64.powi(round % 7 - 4));
         track.doubt(&off);
-        let told = Step { odometry: None, turned_rad: None, seconds: 1e-9 };
+        let told = Step { odometry: None, turned_rad: None, seconds: 1e-9, stamp_sigma_s: 0.0 };
         track.predict(&told, &MODEL(), 0.04, 0.1);
         let prediction = track.prior(&Isometry::IDENTITY, &MODEL()).doubted(&off);
         let refined = Refined {
@@ -167,4 +167,21 @@ fn the_covariance_stays_one_whatever_is_doubted() {
         let most = nalgebra::SymmetricEigen::new(track.covariance).eigenvalues.max();
         assert!(least > -1e-12 * most && most.is_finite(), "round {round}: {least} of {most}");
     }
+}
+
+/// The standard deviations of the ends of a step are independent, so that they add up as squares.
+#[test]
+fn what_has_no_stamp_is_less_certain_by_speed_times_time() {
+    let spread = |stamp_sigma_s: f64| {
+        let mut track = SlowStateFilter::around(Pose2::default(), 0.0, 0.0, &MODEL());
+        let odometry = Some(Pose2::new(0.05, 0.0, 0.02));
+        track.predict(&Step { odometry, turned_rad: None, seconds: 0.1, stamp_sigma_s }, &MODEL(), 0.04, 0.1);
+        (track.covariance[(Y, Y)], track.covariance[(YAW, YAW)])
+    };
+    let (stamped, unstamped) = (spread(0.0), spread(0.01));
+    let speed_m_per_s = 0.5;
+    let turn_rad_per_s = 0.2;
+    assert!((unstamped.0 - stamped.0 - 2.0 * (0.01f64 * speed_m_per_s).powi(2)).abs() < 1e-12);
+    assert!((unstamped.1 - stamped.1 - 2.0 * (0.01f64 * turn_rad_per_s).powi(2)).abs() < 1e-12);
+    assert_eq!(Step { stamp_sigma_s: 0.01, ..Step::none() }.time_error(1.0), 0.0, "in no time nothing moves");
 }

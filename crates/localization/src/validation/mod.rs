@@ -636,6 +636,8 @@ mod tests {
             tilt_is_measured: true,
             lean_rad: None,
             stale: false,
+            stamp_sigma_s: 0.0,
+            tilt_sigma_rad: 0.0,
         };
         frames.iter().map(|fix| validator.judge(&rules, &moment, fix, 0.1)).collect()
     }

@@ -119,19 +119,19 @@ impl<T: Wire> Wire for Vec<T> {
     }
 }
 
-impl<const N: usize> Wire for [f64; N] {
-    const MIN_BYTES: usize = N * size_of::<f64>();
+impl<T: Wire + Copy + Default, const N: usize> Wire for [T; N] {
+    const MIN_BYTES: usize = N * T::MIN_BYTES;
 
     fn read(reader: &mut CdrReader<'_>) -> Result<Self, CdrError> {
-        let mut values = [0.0; N];
+        let mut values = [T::default(); N];
         for value in &mut values {
-            *value = f64::read(reader)?;
+            *value = T::read(reader)?;
         }
         Ok(values)
     }
 
     fn write(&self, writer: &mut CdrWriter<'_>) {
-        f64::write_many(self, writer);
+        T::write_many(self, writer);
     }
 }
 
@@ -205,12 +205,19 @@ mod sample {
             }
         )*};
     }
-    integers!(u8 u32 i32 u64 i64);
+    integers!(i8 u8 u32 i32 u64 i64);
 
     impl Sample for f64 {
         /// The value may be NaN, which equals itself only as bytes; the tests compare bytes.
         fn sample(source: &mut SampleSource) -> Self {
             f64::from_bits(source.next())
+        }
+    }
+
+    impl Sample for f32 {
+        /// The value may be NaN, as that of `f64`.
+        fn sample(source: &mut SampleSource) -> Self {
+            f32::from_bits(source.next() as u32)
         }
     }
 
@@ -232,9 +239,9 @@ mod sample {
         }
     }
 
-    impl<const N: usize> Sample for [f64; N] {
+    impl<T: Sample, const N: usize> Sample for [T; N] {
         fn sample(source: &mut SampleSource) -> Self {
-            std::array::from_fn(|_| f64::sample(source))
+            std::array::from_fn(|_| T::sample(source))
         }
     }
 }

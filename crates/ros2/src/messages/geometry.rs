@@ -124,6 +124,28 @@ wire_struct! {
 }
 
 wire_struct! {
+    /// `geometry_msgs/TwistStamped`: a velocity at a time, along the axes of `header.frame_id`.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+    pub struct TwistStamped {
+        /// Time of the velocity, and coordinate frame along whose axes it is given.
+        pub header: Header,
+        /// The velocity.
+        pub twist: Twist,
+    }
+}
+
+wire_struct! {
+    /// `geometry_msgs/TwistWithCovarianceStamped`: a velocity and its uncertainty at a time.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+    pub struct TwistWithCovarianceStamped {
+        /// Time of the velocity, and coordinate frame along whose axes it is given.
+        pub header: Header,
+        /// The velocity.
+        pub twist: TwistWithCovariance,
+    }
+}
+
+wire_struct! {
     /// `geometry_msgs/Transform`: rotates, then translates a point of the child frame to give it in the parent frame.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
     pub struct Transform {
@@ -177,6 +199,12 @@ message!(PoseStamped is "geometry_msgs" / "PoseStamped",
 message!(PoseWithCovarianceStamped is "geometry_msgs" / "PoseWithCovarianceStamped",
     needs "std_msgs/Header", needs "builtin_interfaces/Time", needs "geometry_msgs/PoseWithCovariance",
     needs "geometry_msgs/Pose", needs "geometry_msgs/Point", needs "geometry_msgs/Quaternion");
+message!(TwistStamped is "geometry_msgs" / "TwistStamped",
+    needs "std_msgs/Header", needs "builtin_interfaces/Time", needs "geometry_msgs/Twist",
+    needs "geometry_msgs/Vector3");
+message!(TwistWithCovarianceStamped is "geometry_msgs" / "TwistWithCovarianceStamped",
+    needs "std_msgs/Header", needs "builtin_interfaces/Time", needs "geometry_msgs/TwistWithCovariance",
+    needs "geometry_msgs/Twist", needs "geometry_msgs/Vector3");
 message!(TransformStamped is "geometry_msgs" / "TransformStamped",
     needs "std_msgs/Header", needs "builtin_interfaces/Time", needs "geometry_msgs/Transform",
     needs "geometry_msgs/Vector3", needs "geometry_msgs/Quaternion");

@@ -1,20 +1,23 @@
 //! The ROS 2 messages that logs hold. Names, order and units of fields are those of ROS (REP 103: metres, radians, seconds).
 
+mod booster;
 mod conversion;
 mod diagnostics;
 mod frame_tag;
 mod geometry;
 mod image;
+pub mod schema;
 mod sensors;
 mod time;
 
 use super::cdr::{CdrError, CdrReader, CdrWriter, Wire};
 
+pub use booster::{ImuState, LowState, MotorState, Odometer};
 pub use diagnostics::{DiagnosticArray, DiagnosticStatus, KeyValue};
 pub use frame_tag::FrameTag;
 pub use geometry::{
     Odometry, Point, Pose, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, TFMessage,
-    Transform, TransformStamped, Twist, TwistWithCovariance, Vector3,
+    Transform, TransformStamped, Twist, TwistStamped, TwistWithCovariance, TwistWithCovarianceStamped, Vector3,
 };
 pub use image::{CompressedImage, CompressedImageView, Image, ImageView};
 pub use sensors::{CameraInfo, Imu, JointState, RegionOfInterest};

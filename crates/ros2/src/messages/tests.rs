@@ -30,6 +30,10 @@ macro_rules! for_each_message {
         $function::<Odometry>($argument);
         $function::<PoseStamped>($argument);
         $function::<PoseWithCovarianceStamped>($argument);
+        $function::<TwistStamped>($argument);
+        $function::<TwistWithCovarianceStamped>($argument);
+        $function::<Odometer>($argument);
+        $function::<LowState>($argument);
         $function::<TransformStamped>($argument);
         $function::<TFMessage>($argument);
         $function::<DiagnosticArray>($argument);
