@@ -9,8 +9,8 @@ use std::sync::{Mutex, PoisonError};
 use super::perception_pool::decode_picture;
 use super::setup::FramePerception;
 use super::single_image::{FitQuality, ImagePrior};
-use realitysim_config::{Settings, Topics, field_names, lens_names, load_field, load_lens};
-use realitysim_geometry::{Euler, Field, Isometry, Lens, LensParameters};
+use realitysim_config::{Settings, Topics, field_names, lens_names, load_field_of_size, load_lens};
+use realitysim_geometry::{Euler, Field, FieldDimensions, Isometry, Lens, LensParameters};
 use realitysim_log_input::synchroniser::Frame;
 use realitysim_log_input::transforms::Head;
 use realitysim_ros2::mcap_read::LogMessage;
@@ -142,7 +142,8 @@ impl DiagnosisInput<'_> {
             return None;
         }
         let own = self.try_changes(&[Change::Nothing], &all).remove(0);
-        let is_other = |name: &String| load_field(name).is_ok_and(|field| !field.is_same_as(self.field.dimensions()));
+        let is_other =
+            |name: &String| self.other_field(name).is_some_and(|field| !field.is_same_as(self.field.dimensions()));
         let others = field_names().into_iter().filter(is_other).map(Change::Field);
         let mut fields = self.try_changes(&others.collect::<Vec<_>>(), &all);
         sort(&mut fields);
@@ -269,16 +270,21 @@ impl DiagnosisInput<'_> {
             _ => (pitch, roll, height_m),
         };
         let other = match change {
-            Change::Field(name) => Some(Field::new(load_field(name).ok()?).ok()?),
+            Change::Field(name) => Some(Field::new(self.other_field(name)?).ok()?),
             _ => None,
         };
+        let field = other.as_ref().unwrap_or(self.field);
         let picture = decode_picture(&sample.message, &lens).ok()?;
         let body = self.perception.body(sample.head).cloned();
         let attitude = Euler { yaw: 0.0, pitch, roll };
         let known = ImagePrior { lens, attitude, tilt_sigma_rad: TILT_SIGMA_RAD, height_m, initial: None, body };
-        let located =
-            known.locate(&known.look(&picture), other.as_ref().unwrap_or(self.field), self.settings.filter.seed);
+        let located = known.locate(&known.look(&picture, field.line_width()), field, self.settings.filter.seed);
         Some((located.fit(), located.found.first()?.log_likelihood))
+    }
+
+    /// A shipped field, of the measured size if the settings have one; `None` if its areas do not fit into that.
+    fn other_field(&self, name: &str) -> Option<FieldDimensions> {
+        load_field_of_size(name, self.settings.field_size_m).ok()
     }
 
     /// The changes of the lens that are tried: the shipped lenses with as many pixels, and other focal lengths.

@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use super::log_scan::StreamInfo;
 use super::warnings::AttitudeSource;
-use realitysim_config::{ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens};
+use realitysim_config::{ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_lens};
 use realitysim_geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};
 use realitysim_localization::observation;
 use realitysim_log_input::FrameAssembler;
@@ -147,7 +147,7 @@ fn lens_of(info: &CameraInfo, topic: &str) -> Result<LensParameters, SetupError>
 }
 
 fn field(settings: &Settings) -> Result<(Field, FieldDimensions), SetupError> {
-    let dimensions = load_field(&settings.field)?;
+    let dimensions = settings.field_dimensions()?;
     let field =
         Field::new(dimensions.clone()).map_err(|source| ConfigError::Field { file: settings.field.clone(), source })?;
     Ok((field, dimensions))
