@@ -160,8 +160,8 @@ fn assumed_field(arguments: &ReplayArguments, settings: &Settings) -> Option<Str
     if capture.as_ref().is_some_and(|info| info.field.is_same_as(&dimensions)) {
         return None;
     }
-    let recorded_on = capture.map(|info| info.settings.field);
-    Some(warnings::assumed_field(&settings.field, &dimensions, recorded_on.as_deref()))
+    let recorded_on = capture.as_ref().map(|info| (info.settings.field.as_str(), &info.field));
+    Some(warnings::assumed_field(&settings.field, &dimensions, recorded_on))
 }
 
 pub fn for_people(report: &ReplayReport) -> String {

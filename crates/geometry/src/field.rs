@@ -372,6 +372,7 @@ fn validate(d: &FieldDimensions) -> Result<(), FieldError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     /// The 6 x 4 m field of the paper.
     fn kid_size_2013() -> FieldDimensions {
@@ -475,6 +476,23 @@ mod tests {
             for FieldPoint { position, .. } in field.points(200) {
                 for mirrored in [-position, position * DVec2::new(1.0, -1.0), position * DVec2::new(-1.0, 1.0)] {
                     assert!(field.distance_to_centre_line(mirrored) < 1e-12);
+                }
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_field_of_any_size_with_arcs_is_the_same_in_every_mirror(
+            length_m in 4.0..30.0f64, width_m in 3.6..20.0f64, radius in 0.05..0.4f64, line_width_m in 0.03..0.15f64
+        ) {
+            let dimensions = with_corner_arcs(radius).dimensions().clone().of_size([length_m, width_m]);
+            let field = Field::new(FieldDimensions { line_width_m, ..dimensions }).expect("a good field");
+            for FieldPoint { position, normal, .. } in field.points(300) {
+                prop_assert!((normal.length() - 1.0).abs() < 1e-12);
+                for signs in [DVec2::new(1.0, 1.0), DVec2::new(1.0, -1.0), DVec2::new(-1.0, 1.0), DVec2::new(-1.0, -1.0)] {
+                    let off = field.distance_to_centre_line(position * signs);
+                    prop_assert!(off < 1e-12, "{position} {off}");
                 }
             }
         }

@@ -3,12 +3,13 @@
 //! A few of the frames are located again, each alone as `realitysim tag` does it, with other fields, other lenses and other
 //! mounts. Nothing is assumed about how the robot moved.
 
+use std::borrow::Cow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use super::perception_pool::decode_picture;
 use super::setup::FramePerception;
-use super::single_image::{FitQuality, ImagePrior};
+use super::single_image::{FitQuality, ImagePrior, searched_m2};
 use realitysim_config::{Settings, Topics, field_names, lens_names, load_field_of_size, load_lens};
 use realitysim_geometry::{Euler, Field, FieldDimensions, Isometry, Lens, LensParameters};
 use realitysim_log_input::synchroniser::Frame;
@@ -32,7 +33,7 @@ struct Sample {
     head: Option<Head>,
 }
 
-/// Number of samples kept: enough to tell a cause from chance, few enough to be searched a hundred times.
+/// Number of samples kept: enough to tell a cause from chance, few enough to be searched often.
 const SAMPLES: usize = 6;
 
 /// Fewest samples for a diagnosis. Some frames are always unplaced, because a pose needs several frames to be confirmed.
@@ -131,36 +132,48 @@ const SCALE_RATIO: f64 = 1.07;
 const TILT_SIGMA_RAD: f64 = 0.005;
 /// Number of focal lengths and heights tried to each side.
 const SCALE_STEPS: i32 = 5;
-/// Number of lenses and of mounts, the best by two samples, that are tried with all samples.
+/// Number of fields, of lenses and of mounts, the best by a few samples, that are tried with all samples.
 const FINALISTS: usize = 3;
+/// Largest area of carpet that a diagnosis searches, all its searches together, square metres.
+///
+/// The number of searches is bounded by the steps above and by the shipped fields and lenses, and a search takes as long as
+/// its field is large: 60 million poses in all at most. Fields of up to 9 x 6 m need no more; on larger ones fewer samples are searched.
+const MAX_SEARCHED_M2: f64 = 17_000.0;
+/// Numbers of samples for a whole diagnosis and for its first rounds, the best that fits into [`MAX_SEARCHED_M2`].
+const SAMPLE_COUNTS: [[usize; 2]; 4] = [[SAMPLES, 2], [SAMPLES, 1], [4, 1], [MIN_SAMPLES, 1]];
 
 impl DiagnosisInput<'_> {
-    /// The most probable cause in one or two sentences, or `None` if there are too few frames to tell.
+    /// The most probable cause in one or two sentences, or `None` if there are too few frames to tell, or the field is too
+    /// large to be searched often enough.
+    ///
+    /// Its work is bounded by the area that it searches: [`MAX_SEARCHED_M2`].
     pub fn cause(&self, unplaced: &UnplacedFrames) -> Option<String> {
-        let all: Vec<&Sample> = unplaced.frames.iter().collect();
+        let is_other =
+            |name: &String| self.other_field(name).is_some_and(|field| !field.is_same_as(self.field.dimensions()));
+        let others: Vec<Change> = field_names().into_iter().filter(is_other).map(Change::Field).collect();
+        let (lenses, mounts) = (self.lenses(), mounts());
+        let [most, few] = self.sample_counts(&others, lenses.len() + mounts.len())?;
+        let all = spread(&unplaced.frames, most);
         if all.len() < MIN_SAMPLES {
             return None;
         }
-        let own = self.try_changes(&[Change::Nothing], &all).remove(0);
-        let is_other =
-            |name: &String| self.other_field(name).is_some_and(|field| !field.is_same_as(self.field.dimensions()));
-        let others = field_names().into_iter().filter(is_other).map(Change::Field);
-        let mut fields = self.try_changes(&others.collect::<Vec<_>>(), &all);
-        sort(&mut fields);
-        let is_clear = |tried: &Tried| fits_mostly(tried, all.len()) && explains_more(tried, &own, CLEAR_RATIO);
-        if let Some(best) = fields.first().filter(|best| is_clear(best)) {
-            return Some(self.describe_field(best, &fields, &own, all.len()));
-        }
-        let two: Vec<&Sample> = [all.len() / 4, 3 * all.len() / 4].map(|index| all[index]).to_vec();
-        let best_of = |changes: Vec<Change>| {
-            let mut tried = self.try_changes(&changes, &two);
+        let few: Vec<&Sample> = spread(&all, few).into_iter().copied().collect();
+        let finals_of = |changes: Vec<Change>| {
+            let mut tried = self.try_changes(&changes, &few);
             sort(&mut tried);
             let finalists: Vec<Change> = tried.into_iter().take(FINALISTS).map(|tried| tried.change).collect();
             let mut tried = self.try_changes(&finalists, &all);
             sort(&mut tried);
-            tried.into_iter().next()
+            tried
         };
-        let (lens, mount) = (best_of(self.lenses()), best_of(mounts()));
+        let own = self.try_changes(&[Change::Nothing], &all).remove(0);
+        let fields = finals_of(others);
+        let is_clear = |tried: &Tried| fits_mostly(tried, all.len()) && explains_more(tried, &own, CLEAR_RATIO);
+        if let Some(best) = fields.first().filter(|best| is_clear(best)) {
+            return Some(self.describe_field(best, &fields, &own, all.len()));
+        }
+        let best_of = |changes| finals_of(changes).into_iter().next();
+        let (lens, mount) = (best_of(lenses), best_of(mounts));
         let found: Vec<Tried> = [fields.into_iter().next(), lens, mount].into_iter().flatten().collect();
         Some(self.describe(&own, &found, all.len()))
     }
@@ -230,6 +243,20 @@ impl DiagnosisInput<'_> {
         )
     }
 
+    /// Numbers of samples for the whole diagnosis and for its first rounds, or `None` if no number fits into
+    /// [`MAX_SEARCHED_M2`]. `others` are the other fields, `changes` counts lenses and mounts.
+    fn sample_counts(&self, others: &[Change], changes: usize) -> Option<[usize; 2]> {
+        let area_m2 = |change: &Change| self.field_of(change).map_or(0.0, |field| searched_m2(&field));
+        let own_m2 = searched_m2(self.field);
+        let others_m2: Vec<f64> = others.iter().map(area_m2).collect();
+        let largest_m2 = others_m2.iter().copied().fold(0.0, f64::max);
+        let finalists = FINALISTS as f64;
+        let finals_m2 = (1.0 + 2.0 * finalists) * own_m2 + finalists * largest_m2;
+        let first_m2 = changes as f64 * own_m2 + others_m2.iter().sum::<f64>();
+        let fits = |[most, few]: &[usize; 2]| *most as f64 * finals_m2 + *few as f64 * first_m2 <= MAX_SEARCHED_M2;
+        SAMPLE_COUNTS.into_iter().find(fits)
+    }
+
     /// Tries each change with the samples; the results are in the order of `changes`.
     fn try_changes(&self, changes: &[Change], samples: &[&Sample]) -> Vec<Tried> {
         let found = in_parallel(self.threads, changes.len() * samples.len(), |index| {
@@ -269,17 +296,21 @@ impl DiagnosisInput<'_> {
             Change::Height(times) => (pitch, roll, height_m * times),
             _ => (pitch, roll, height_m),
         };
-        let other = match change {
-            Change::Field(name) => Some(Field::new(self.other_field(name)?).ok()?),
-            _ => None,
-        };
-        let field = other.as_ref().unwrap_or(self.field);
+        let field = self.field_of(change)?;
         let picture = decode_picture(&sample.message, &lens).ok()?;
         let body = self.perception.body(sample.head).cloned();
         let attitude = Euler { yaw: 0.0, pitch, roll };
         let known = ImagePrior { lens, attitude, tilt_sigma_rad: TILT_SIGMA_RAD, height_m, initial: None, body };
-        let located = known.locate(&known.look(&picture, field.line_width()), field, self.settings.filter.seed);
+        let located = known.locate(&known.look(&picture, field.line_width()), &field, self.settings.filter.seed);
         Some((located.fit(), located.found.first()?.log_likelihood))
+    }
+
+    /// The field with a change; `None` if it cannot be read.
+    fn field_of(&self, change: &Change) -> Option<Cow<'_, Field>> {
+        match change {
+            Change::Field(name) => Some(Cow::Owned(Field::new(self.other_field(name)?).ok()?)),
+            _ => Some(Cow::Borrowed(self.field)),
+        }
     }
 
     /// A shipped field, of the measured size if the settings have one; `None` if its areas do not fit into that.
@@ -308,6 +339,12 @@ fn mounts() -> Vec<Change> {
     let pitches = degrees(PITCH_STEPS, PITCH_DEG).map(Change::Pitch);
     let rolls = degrees(ROLL_STEPS, ROLL_DEG).chain([UPSIDE_DOWN_DEG]).map(Change::Roll);
     pitches.chain(rolls).chain(scales().map(Change::Height)).collect()
+}
+
+/// At most `count` of the items, spread evenly: of two, those at a quarter and at three quarters.
+fn spread<T>(items: &[T], count: usize) -> Vec<&T> {
+    let count = count.min(items.len());
+    (0..count).map(|index| &items[(2 * index + 1) * items.len() / (2 * count)]).collect()
 }
 
 /// The factors of focal length and height that are tried.

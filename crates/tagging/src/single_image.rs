@@ -1,6 +1,6 @@
 //! Locates a single image: lens, tilt and height of the camera are known, x, y and yaw on the field are searched.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use nalgebra::{Matrix6, Vector6};
 use serde::Serialize;
 
@@ -142,6 +142,14 @@ const MIN_FITTING_SHARE: f64 = 0.25;
 const INITIAL: Spread = Spread { xy_m: 0.3, yaw_rad: 0.15 };
 const INITIAL_PARTICLES: usize = 2000;
 const INITIAL_ITERATIONS: usize = 8;
+
+/// Area in which poses on a field are searched, square metres: half of its carpet and a margin, as poses come in mirrored pairs.
+///
+/// The time that [`ImagePrior::locate`] takes without an initial pose grows with it.
+pub fn searched_m2(field: &Field) -> f64 {
+    let half = field.carpet_half_extent() + DVec2::splat(SEARCH_MARGIN_M);
+    2.0 * half.x * half.y
+}
 
 impl ImagePrior {
     /// Pose of `camera_link` in `base_footprint`, the point of the carpet below the camera with the camera's heading.

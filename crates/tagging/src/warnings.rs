@@ -43,11 +43,18 @@ fn count(invalid: &BTreeMap<String, u64>, rejection: Rejection) -> u64 {
 
 /// Warns that the field was assumed, because nobody named one: its lines decide every pose.
 ///
-/// `recorded_on` is the field on which the capture that is replayed was recorded, if that is another.
-pub fn assumed_field(field: &str, dimensions: &FieldDimensions, recorded_on: Option<&str>) -> String {
+/// `recorded_on` is the field on which the capture that is replayed was recorded, and its name, if that is another.
+pub fn assumed_field(
+    field: &str,
+    dimensions: &FieldDimensions,
+    recorded_on: Option<(&str, &FieldDimensions)>,
+) -> String {
     let FieldDimensions { length_m, width_m, .. } = dimensions;
     let choose = match recorded_on {
-        Some(other) => format!("the capture was recorded on {other}: choose it with --field {other}"),
+        Some((other, FieldDimensions { length_m, width_m, .. })) => format!(
+            "the capture was recorded on {other} of {length_m} x {width_m} m: choose it with --field {other}, and with \
+             --field-size if the size was measured"
+        ),
         None => {
             "choose yours with --field NAME or `field` in the config (config/fields has the shipped ones)".to_owned()
         }
