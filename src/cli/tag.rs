@@ -155,7 +155,8 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
     };
     let mut results: Vec<(String, Field, ImageLocation)> = fields.into_iter().map(locate).collect();
     let score = |located: &ImageLocation| located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
-    results.sort_by(|a, b| score(&b.2).total_cmp(&score(&a.2)));
+    // Wide lines are seen farther away, so that log likelihoods on fields with other lines compare only roughly.
+    results.sort_by(|a, b| a.2.fit().cmp(&b.2.fit()).then(score(&b.2).total_cmp(&score(&a.2))));
     let Some((name, field, located)) = results.first() else { anyhow::bail!("{}: no field to try", shown()) };
     let best = located.found.first();
     if let (Some(path), Some(best)) = (&arguments.overlay, best) {

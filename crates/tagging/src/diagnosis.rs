@@ -9,7 +9,7 @@ use std::sync::{Mutex, PoisonError};
 
 use super::perception_pool::decode_picture;
 use super::setup::FramePerception;
-use super::single_image::{FitQuality, ImagePrior, searched_m2};
+use super::single_image::{FitQuality, ImagePrior, PoseHypothesis, searched_m2};
 use realitysim_config::{Settings, Topics, field_names, lens_names, load_field_of_size, load_lens};
 use realitysim_geometry::{Euler, Field, FieldDimensions, Isometry, Lens, LensParameters};
 use realitysim_log_input::synchroniser::Frame;
@@ -104,6 +104,18 @@ struct Tried {
     clear: usize,
     /// Sum of the log likelihoods of all samples, each at least 0.
     log_likelihood: f64,
+    /// The same, each times the shares of line places that fit and of seen lines that are explained.
+    ///
+    /// Wide lines are seen farther away, so that their log likelihoods are greater, also those of a wrong pose. The shares
+    /// make fields with lines of different widths comparable.
+    explained: f64,
+}
+
+/// How well a sample fits with one change.
+struct Located {
+    fit: FitQuality,
+    log_likelihood: f64,
+    explained: f64,
 }
 
 /// Ratio of log likelihoods, changed to unchanged, from which a change is named as the cause. Measured: the right
@@ -168,7 +180,7 @@ impl DiagnosisInput<'_> {
         };
         let own = self.try_changes(&[Change::Nothing], &all).remove(0);
         let fields = finals_of(others);
-        let is_clear = |tried: &Tried| fits_mostly(tried, all.len()) && explains_more(tried, &own, CLEAR_RATIO);
+        let is_clear = |tried: &Tried| fits_mostly(tried, all.len()) && tried.explained > CLEAR_RATIO * own.explained;
         if let Some(best) = fields.first().filter(|best| is_clear(best)) {
             return Some(self.describe_field(best, &fields, &own, all.len()));
         }
@@ -224,8 +236,7 @@ impl DiagnosisInput<'_> {
 
     /// The text for a wrong field, with the other fields that explain nearly as much.
     fn describe_field(&self, best: &Tried, fields: &[Tried], own: &Tried, frames: usize) -> String {
-        let near =
-            |tried: &&Tried| tried.log_likelihood > NEAR_SHARE * best.log_likelihood && fits_mostly(tried, frames);
+        let near = |tried: &&Tried| tried.explained > NEAR_SHARE * best.explained && fits_mostly(tried, frames);
         let names = fields.iter().filter(near).filter_map(|tried| match &tried.change {
             Change::Field(name) => Some(name.as_str()),
             _ => None,
@@ -239,7 +250,7 @@ impl DiagnosisInput<'_> {
             fit(best.fits),
             own.fits,
             self.settings.field,
-            times_more(best, own)
+            ratio(best.explained, own.explained)
         )
     }
 
@@ -262,23 +273,24 @@ impl DiagnosisInput<'_> {
         let found = in_parallel(self.threads, changes.len() * samples.len(), |index| {
             self.locate(&changes[index / samples.len()], samples[index % samples.len()])
         });
-        let of = |(change, found): (&Change, &[Option<(FitQuality, f64)>])| {
+        let of = |(change, found): (&Change, &[Option<Located>])| {
             let found = found.iter().flatten();
-            let count = |is: fn(FitQuality) -> bool| found.clone().filter(|(fit, _)| is(*fit)).count();
+            let count = |is: fn(FitQuality) -> bool| found.clone().filter(|located| is(located.fit)).count();
             Tried {
                 change: change.clone(),
                 fits: count(|fit| fit != FitQuality::None),
                 clear: count(|fit| fit == FitQuality::Good),
-                log_likelihood: found.map(|(_, log_likelihood)| log_likelihood.max(0.0)).sum(),
+                log_likelihood: found.clone().map(|located| located.log_likelihood.max(0.0)).sum(),
+                explained: found.map(|located| located.explained).sum(),
             }
         };
         changes.iter().zip(found.chunks(samples.len().max(1))).map(of).collect()
     }
 
-    /// Locates one sample with one change: how well the best pose fits, and its log likelihood.
+    /// Locates one sample with one change.
     ///
     /// `None` if the image or the field cannot be read, or no pose is found.
-    fn locate(&self, change: &Change, sample: &Sample) -> Option<(FitQuality, f64)> {
+    fn locate(&self, change: &Change, sample: &Sample) -> Option<Located> {
         let given = self.perception.vision.lens();
         let lens = match change {
             Change::Lens(name) => load_lens(name).ok()?.lens,
@@ -302,7 +314,9 @@ impl DiagnosisInput<'_> {
         let attitude = Euler { yaw: 0.0, pitch, roll };
         let known = ImagePrior { lens, attitude, tilt_sigma_rad: TILT_SIGMA_RAD, height_m, initial: None, body };
         let located = known.locate(&known.look(&picture, field.line_width()), &field, self.settings.filter.seed);
-        Some((located.fit(), located.found.first()?.log_likelihood))
+        let PoseHypothesis { log_likelihood, explained, lines, .. } = *located.found.first()?;
+        let explained = log_likelihood.max(0.0) * lines.share * explained;
+        Some(Located { fit: located.fit(), log_likelihood, explained })
     }
 
     /// The field with a change; `None` if it cannot be read.
@@ -352,9 +366,13 @@ fn scales() -> impl Iterator<Item = f64> {
     (-SCALE_STEPS..=SCALE_STEPS).filter(|step| *step != 0).map(|step| libm::pow(SCALE_RATIO, f64::from(step)))
 }
 
-/// Sorts by log likelihood, greatest first.
+/// Sorts by what is explained, most first: fields by [`Tried::explained`], all else by log likelihood.
 fn sort(tried: &mut [Tried]) {
-    tried.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+    let worth = |tried: &Tried| match tried.change {
+        Change::Field(_) => tried.explained,
+        _ => tried.log_likelihood,
+    };
+    tried.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
 }
 
 fn fits_mostly(tried: &Tried, frames: usize) -> bool {
@@ -367,7 +385,11 @@ fn explains_more(tried: &Tried, own: &Tried, times: f64) -> bool {
 
 /// The ratio of log likelihoods for texts, bounded because the divisor may be 0.
 fn times_more(tried: &Tried, own: &Tried) -> f64 {
-    (tried.log_likelihood / own.log_likelihood.max(1e-9)).min(99.0)
+    ratio(tried.log_likelihood, own.log_likelihood)
+}
+
+fn ratio(tried: f64, own: f64) -> f64 {
+    (tried / own.max(1e-9)).min(99.0)
 }
 
 fn fit(count: usize) -> String {

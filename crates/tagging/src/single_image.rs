@@ -77,8 +77,8 @@ pub struct ImageLocation {
     pub searched: bool,
 }
 
-/// How far the best pose may be trusted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+/// How far the best pose may be trusted, the most trusted first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FitQuality {
     /// The pose explains the lines, and no other pose does so nearly as well.
