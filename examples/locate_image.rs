@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         initial: None,
         body: None,
     };
-    let located = prior.locate(&prior.look(&picture), &field, 1);
+    let located = prior.locate(&prior.look(&picture, field.line_width()), &field, 1);
     println!("{:?}", located.fit());
     for hypothesis in &located.found {
         let pose = hypothesis.place();

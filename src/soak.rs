@@ -8,7 +8,7 @@ use glam::DVec2;
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
-use crate::config::{Settings, load_field, load_lens};
+use crate::config::{Settings, load_lens};
 use crate::devices::host_clock::utc_offset_ns;
 use crate::geometry::{FieldDimensions, Pose2, PoseGrid};
 use crate::recording::storage::Disk;
@@ -103,7 +103,7 @@ fn info(options: &SoakOptions, start_ns: i64) -> Result<(String, SessionInfo), A
         robot: settings.robot.clone(),
         started: started.to_string(),
         source: Some("soak".to_owned()),
-        field: load_field(&settings.field).map_err(|error| unusable(&error))?,
+        field: settings.field_dimensions().map_err(|error| unusable(&error))?,
         lens: load_lens("fisheye-640").map_err(|error| unusable(&error))?.lens.parameters().clone(),
         body_masks: Vec::new(),
         live: None,

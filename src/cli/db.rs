@@ -6,10 +6,10 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 
 use super::paths::{check_output, save};
-use super::settings::UsageError;
+use super::settings::{UsageError, field_size};
 use super::values::whole;
 use super::{Outcome, output};
-use crate::config::{Settings, load_field};
+use crate::config::{Settings, load_field_of_size};
 use crate::database::{self, Added, Checked, ImageDatabase, Stats, TagLimits};
 use crate::geometry::PoseGrid;
 
@@ -61,6 +61,9 @@ struct AddArguments {
     /// For folders of images: a shipped field (config/fields) or the path of a field file
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
+    /// For folders of images: length and width of the field between the centres of its lines, metres: see `replay`
+    #[arg(long, value_name = "LxW", value_parser = field_size, requires = "field")]
+    field_size: Option<[f64; 2]>,
     /// Tags too that do not know which half of the field they are in: such an image may stand in the wrong half
     #[arg(long)]
     ambiguous: bool,
@@ -144,11 +147,11 @@ pub fn run(arguments: &DbArguments, json: bool) -> anyhow::Result<Outcome> {
 }
 
 fn add(arguments: &AddArguments, json: bool) -> anyhow::Result<Outcome> {
-    let AddArguments { sources, db, field, ambiguous, max_sigma } = arguments;
+    let AddArguments { sources, db, field, field_size, ambiguous, max_sigma } = arguments;
     let limits = TagLimits { ambiguous: *ambiguous, sigma_m: *max_sigma };
     let inputs: Vec<&Path> = sources.iter().map(PathBuf::as_path).collect();
     check_output(db, &inputs)?;
-    let field = field.as_deref().map(load_field).transpose()?;
+    let field = field.as_deref().map(|name| load_field_of_size(name, *field_size)).transpose()?;
     let mut progress = output::Progress::new("reading");
     let added = database::add(db, sources, field.as_ref(), limits, &mut |done| progress.set(done, None))?;
     progress.finish();

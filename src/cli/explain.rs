@@ -8,11 +8,11 @@ use serde_json::{Value, json};
 
 use super::paths::{check_output, save};
 use super::photo::{self, OtherInputs, PhotoArguments};
-use super::replay::source_field_name;
+use super::replay::source_field;
 use super::settings::{SettingsArguments, UsageError};
 use super::values::any_whole;
 use super::{Outcome, output, settings};
-use crate::config::{Settings, load_field};
+use crate::config::Settings;
 use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::geometry::{Field, Isometry, Lens, Pose2, wrap_angle};
 use crate::localization::refinement::line_measurement::Finding;
@@ -100,8 +100,8 @@ fn of_frame(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<
         return Err(UsageError(format!("--frame is missing: which frame of {source}, counted from 0")).into());
     };
     if let Some(initial) = &arguments.initial {
-        let name = source_field_name(&arguments.source, &settings)?;
-        settings::check_initial(initial, &name, &Field::new(load_field(&name)?)?)?;
+        let (name, field) = source_field(&arguments.source, &settings)?;
+        settings::check_initial(initial, &name, &field)?;
     }
     let options = ExplainOptions { source: arguments.source.clone(), settings, initial: arguments.initial, frame };
     let mut progress = output::Progress::new("tagging");
@@ -124,14 +124,14 @@ fn of_image(arguments: &ExplainArguments, settings: Settings) -> anyhow::Result<
     let Some(lens) = &settings.camera.lens else {
         return Err(UsageError("--lens is missing: the lens file of the image's camera".to_owned()).into());
     };
-    let field = Field::new(load_field(&settings.field)?)?;
+    let field = Field::new(settings.field_dimensions()?)?;
     if let Some(initial) = &arguments.initial {
         settings::check_initial(initial, &settings.field, &field)?;
     }
     let body_mask = settings.camera.body_mask.first().map(|mask| mask.png.as_str());
     let beside = OtherInputs { lens, body_mask, initial: arguments.initial };
     let (picture, known) = arguments.photo.open(image, &beside)?;
-    let look = known.look(&picture);
+    let look = known.look(&picture, field.line_width());
     let located = known.locate(&look, &field, settings.filter.seed);
     let evidence = known.evidence(&look, &field, &located);
     let told = explain_image(&located, evidence.as_ref());

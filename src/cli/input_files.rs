@@ -50,7 +50,7 @@ pub fn files_named_in(settings: &Settings) -> Vec<PathBuf> {
     field_file(&settings.field).into_iter().chain(lens).chain(masks).collect()
 }
 
-fn small_text(path: &Path) -> Option<String> {
+pub fn small_text(path: &Path) -> Option<String> {
     // A pipe or a device names no files, and must not be waited for.
     plain_file::read_text(path, MAX_BYTES).ok()
 }

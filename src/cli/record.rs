@@ -9,7 +9,6 @@ use super::settings::{SettingsArguments, UsageError, check_initial, planar_pose}
 use super::status_text::status_text;
 use super::values::whole;
 use super::{Outcome, output};
-use crate::config::load_field;
 use crate::geometry::{Field, Pose2};
 use crate::live::{RecordOptions, Status, ask, poses, record, stop_flag};
 
@@ -45,7 +44,7 @@ pub struct RecordArguments {
 pub fn run(arguments: &RecordArguments, json: bool) -> anyhow::Result<Outcome> {
     let settings = arguments.settings.resolve()?;
     if let Some(initial) = &arguments.initial {
-        check_initial(initial, &settings.field, &Field::new(load_field(&settings.field)?)?)?;
+        check_initial(initial, &settings.field, &Field::new(settings.field_dimensions()?)?)?;
     }
     let options = RecordOptions {
         captures: arguments.output.clone(),

@@ -10,7 +10,8 @@ use super::{Outcome, output, paths};
 use crate::config::{Settings, load_field};
 use crate::geometry::{Field, Pose2};
 use crate::log_input::{InputSource, scene_source};
-use crate::tagging::{ReplayOptions, ReplayReport, replay};
+use crate::recording::{read_info, session_holding};
+use crate::tagging::{ReplayOptions, ReplayReport, replay, warnings};
 
 /// Most threads; more would only wait for each other.
 pub(super) const MAX_THREADS: usize = 64;
@@ -72,10 +73,11 @@ fn replay_and_report(arguments: &ReplayArguments, json: bool) -> anyhow::Result<
     let cores = std::thread::available_parallelism().map_or(1, usize::from).min(MAX_THREADS);
     let settings = arguments.settings.resolve_for(&arguments.source)?;
     if let Some(initial) = &arguments.initial {
-        let name = source_field_name(&arguments.source, &settings)?;
-        check_initial(initial, &name, &Field::new(load_field(&name)?)?)?;
+        let (name, field) = source_field(&arguments.source, &settings)?;
+        check_initial(initial, &name, &field)?;
     }
     let gate = arguments.gate.open()?;
+    let assumed_field = assumed_field(arguments, &settings);
     // A temporary folder is removed when this goes out of scope.
     let mut temporary = None;
     let captures = match &arguments.output {
@@ -92,8 +94,9 @@ fn replay_and_report(arguments: &ReplayArguments, json: bool) -> anyhow::Result<
         warm_start: arguments.warm_start,
     };
     let mut progress = output::Progress::new("tagging");
-    let report = replay(&options, &mut |done, total| progress.set(done, total))?;
+    let mut report = replay(&options, &mut |done, total| progress.set(done, total))?;
     progress.finish();
+    report.warnings.splice(0..0, assumed_field);
     print_problems(&report);
     if let Some(gate) = gate {
         let judged = gate.judge(&arguments.source, &report, arguments.initial, json)?;
@@ -131,12 +134,34 @@ fn threads(text: &str) -> Result<usize, String> {
     threads.ok_or_else(|| format!("it must be 1 to {MAX_THREADS}"))
 }
 
-/// Name of the source's field: a scene has its own.
-pub(super) fn source_field_name(source: &Path, settings: &Settings) -> anyhow::Result<String> {
-    match InputSource::of(source) {
-        InputSource::Scene => Ok(scene_source::load(source)?.file().scene.field.clone()),
-        InputSource::Log => Ok(settings.field.clone()),
+/// The source's field and its name: a scene has its own.
+pub(super) fn source_field(source: &Path, settings: &Settings) -> anyhow::Result<(String, Field)> {
+    let (name, dimensions) = match InputSource::of(source) {
+        InputSource::Scene => {
+            let name = scene_source::load(source)?.file().scene.field.clone();
+            let dimensions = load_field(&name)?;
+            (name, dimensions)
+        }
+        InputSource::Log => (settings.field.clone(), settings.field_dimensions()?),
+    };
+    Ok((name, Field::new(dimensions)?))
+}
+
+/// The warning of a replay whose field nobody named; `None` if somebody did, or if the capture that is replayed was
+/// recorded on the same field.
+///
+/// A scene names its field itself.
+fn assumed_field(arguments: &ReplayArguments, settings: &Settings) -> Option<String> {
+    if arguments.settings.names_field() || InputSource::is_scene(&arguments.source) {
+        return None;
     }
+    let dimensions = settings.field_dimensions().ok()?;
+    let capture = session_holding(&arguments.source).and_then(|session| read_info(&session).ok());
+    if capture.as_ref().is_some_and(|info| info.field.is_same_as(&dimensions)) {
+        return None;
+    }
+    let recorded_on = capture.as_ref().map(|info| (info.settings.field.as_str(), &info.field));
+    Some(warnings::assumed_field(&settings.field, &dimensions, recorded_on))
 }
 
 pub fn for_people(report: &ReplayReport) -> String {

@@ -9,7 +9,7 @@ use thiserror::Error;
 use super::input_files;
 use super::values::{any_number, any_whole};
 use crate::config::wording::plain;
-use crate::config::{MotionSource, Settings};
+use crate::config::{MotionSource, Settings, check_field_size};
 use crate::geometry::{Field, Physical, Pose2};
 use crate::localization::{Formula, Model, SimdPath};
 use crate::log_input::InputSource;
@@ -29,6 +29,10 @@ pub struct SettingsArguments {
     /// A shipped field (config/fields) or the path of a field file.
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
+    /// Length and width of the field between the centres of its lines, metres, if they differ from those of --field:
+    /// areas, circle and marks stay as they are, relative to their goal line.
+    #[arg(long, value_name = "LxW", value_parser = field_size)]
+    field_size: Option<[f64; 2]>,
     /// Seed of all random numbers: the same seed gives the same tags, bit for bit.
     #[arg(long, value_name = "S", value_parser = any_whole::<u64>)]
     seed: Option<u64>,
@@ -72,17 +76,29 @@ impl SettingsArguments {
 
     /// Like [`Self::resolve`], for a log or scene. A scene names its own field, so one on the command line is refused.
     pub fn resolve_for(&self, source: &Path) -> anyhow::Result<Settings> {
-        let is_field = |assignment: &String| assignment.split('=').next().is_some_and(|key| key.trim() == "field");
-        let is_named = self.field.is_some() || self.set.iter().any(is_field);
-        if is_named && InputSource::is_scene(source) {
+        let is_given = [(self.field.is_some(), "field"), (self.field_size.is_some(), "field_size_m")]
+            .into_iter()
+            .any(|(is_given, key)| is_given || self.sets(key));
+        if is_given && InputSource::is_scene(source) {
             let scene = source.display();
             return Err(UsageError(format!(
-                "--field is of a log, and {scene} is a scene, which names its field itself: `field` in its [scene]; `realitysim sim` \
+                "--field and --field-size are of a log, and {scene} is a scene, which names its field itself: `field` in its [scene]; `realitysim sim` \
                  makes a log of it"
             ))
             .into());
         }
         self.resolve()
+    }
+
+    /// Whether the command line or the config names a field, so that it is not the default by oversight.
+    pub fn names_field(&self) -> bool {
+        let text = self.config.as_deref().and_then(|path| input_files::small_text(Path::new(path)));
+        self.field.is_some() || self.sets("field") || text.is_some_and(|text| Settings::names_field(&text))
+    }
+
+    /// Whether a `--set` is of this key.
+    fn sets(&self, key: &str) -> bool {
+        self.set.iter().any(|assignment| assignment.split('=').next().is_some_and(|set| set.trim() == key))
     }
 
     /// Takes defaults, then the file, then the command line, and checks the result once.
@@ -96,6 +112,7 @@ impl SettingsArguments {
         }
         let filter = &mut settings.filter;
         replace(&mut settings.field, &self.field);
+        settings.field_size_m = self.field_size.or(settings.field_size_m);
         replace(&mut filter.seed, &self.seed);
         replace(&mut filter.model, &self.model);
         replace(&mut filter.formula, &self.formula);
@@ -163,6 +180,16 @@ pub fn check_initial(initial: &Pose2, name: &str, field: &Field) -> Result<(), U
 pub fn planar_pose(text: &str) -> Result<Pose2, String> {
     let [x, y, yaw_deg] = numbers::<3>(text, "x,y,yaw_deg")?;
     Ok(Pose2::new(x, y, yaw_deg.to_radians()))
+}
+
+/// Parses length x width of a field in metres, as in `5.90x4.02`.
+pub fn field_size(text: &str) -> Result<[f64; 2], String> {
+    let form = "expected LENGTHxWIDTH in metres, as in 5.90x4.02";
+    let (length_m, width_m) = text.split_once('x').ok_or(form)?;
+    let metres = |text: &str| text.trim().parse::<f64>().map_err(|_| form.to_owned());
+    let size_m = [metres(length_m)?, metres(width_m)?];
+    check_field_size(size_m)?;
+    Ok(size_m)
 }
 
 /// Parses `N` numbers with commas between them.

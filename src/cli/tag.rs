@@ -8,13 +8,13 @@ use serde::Serialize;
 
 use super::paths::{check_output, save};
 use super::photo::{self, OtherInputs, PhotoArguments};
-use super::settings::{check_initial, planar_pose};
+use super::settings::{check_initial, field_size, planar_pose};
 use super::values::any_whole;
 use super::{Outcome, output};
-use crate::config::{field_names, load_field};
+use crate::config::{field_names, load_field_of_size};
 use crate::evaluation::drawing;
 use crate::geometry::{Field, Pose2};
-use crate::tagging::single_image::{FitQuality, ImageLocation, PoseHypothesis};
+use crate::tagging::single_image::{FitQuality, ImageLocation, Look, PoseHypothesis};
 
 /// Find the pose of a single image
 ///
@@ -40,6 +40,9 @@ pub struct TagArguments {
     /// A shipped field (config/fields) or the path of a field file
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
+    /// Length and width of the field between the centres of its lines, metres: see `replay`
+    #[arg(long, value_name = "LxW", value_parser = field_size, requires = "field")]
+    field_size: Option<[f64; 2]>,
     /// About where camera_link is: on the field or at most 1 m off its carpet
     #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
     initial: Option<Pose2>,
@@ -138,14 +141,22 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
         OtherInputs { lens: &arguments.lens, body_mask: arguments.body_mask.as_deref(), initial: arguments.initial };
     let (picture, known) = arguments.photo.open(&arguments.image, &beside)?;
     let fields = fields(arguments)?;
-    let look = known.look(&picture);
+    // What a picture shows depends on how wide its lines are, and most fields share a width.
+    let mut looks: Vec<(f64, Look)> = Vec::new();
     let locate = |(name, field): (String, Field)| {
-        let located = known.locate(&look, &field, arguments.seed);
+        let width_m = field.line_width();
+        let known_width = looks.iter().position(|(other_m, _)| *other_m == width_m);
+        let index = known_width.unwrap_or_else(|| {
+            looks.push((width_m, known.look(&picture, width_m)));
+            looks.len() - 1
+        });
+        let located = known.locate(&looks[index].1, &field, arguments.seed);
         (name, field, located)
     };
     let mut results: Vec<(String, Field, ImageLocation)> = fields.into_iter().map(locate).collect();
     let score = |located: &ImageLocation| located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
-    results.sort_by(|a, b| score(&b.2).total_cmp(&score(&a.2)));
+    // Wide lines are seen farther away, so that log likelihoods on fields with other lines compare only roughly.
+    results.sort_by(|a, b| a.2.fit().cmp(&b.2.fit()).then(score(&b.2).total_cmp(&score(&a.2))));
     let Some((name, field, located)) = results.first() else { anyhow::bail!("{}: no field to try", shown()) };
     let best = located.found.first();
     if let (Some(path), Some(best)) = (&arguments.overlay, best) {
@@ -196,7 +207,7 @@ fn fields(arguments: &TagArguments) -> anyhow::Result<Vec<(String, Field)>> {
     let mut fields = Vec::new();
     let mut refused = None;
     for name in names {
-        let field = Field::new(load_field(&name)?)?;
+        let field = Field::new(load_field_of_size(&name, arguments.field_size)?)?;
         match arguments.initial.map_or(Ok(()), |initial| check_initial(&initial, &name, &field)) {
             Ok(()) => fields.push((name, field)),
             Err(error) => refused = Some(error),

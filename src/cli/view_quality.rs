@@ -6,8 +6,9 @@ use clap::Args;
 use serde::Serialize;
 
 use super::doc_section::Section;
+use super::settings::field_size;
 use super::{Outcome, output};
-use crate::config::load_field;
+use crate::config::load_field_of_size;
 use crate::evaluation::views::{Pair, Plan, Row, Scores, displacements, pairs};
 use crate::geometry::Field;
 
@@ -28,6 +29,9 @@ pub struct ViewQualityArguments {
     /// A shipped field (config/fields) or the path of a field file
     #[arg(long, value_name = "NAME", default_value = "kid-2009")]
     field: String,
+    /// Length and width of the field between the centres of its lines, metres: see `replay`
+    #[arg(long, value_name = "LxW", value_parser = field_size)]
+    field_size: Option<[f64; 2]>,
     /// Put the results into a document, between its marks <!-- begin: realitysim view-quality --> and
     /// <!-- end: realitysim view-quality -->
     #[arg(long, value_name = "FILE")]
@@ -42,7 +46,7 @@ struct Report {
 
 pub fn run(arguments: &ViewQualityArguments, json: bool) -> anyhow::Result<Outcome> {
     let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "view-quality")).transpose()?;
-    let field = Field::new(load_field(&arguments.field)?)?;
+    let field = Field::new(load_field_of_size(&arguments.field, arguments.field_size)?)?;
     let plan = if arguments.quick { Plan::quick() } else { Plan::full() };
     let mut progress = output::Progress::new("rendering");
     let rows = displacements(&field, &plan, &mut |done, total| progress.set(done, Some(total)))?;

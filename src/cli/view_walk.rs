@@ -138,7 +138,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
             body: None,
         };
         let picture = Picture::from_rgb(width, height, &rgb).context("a view without pixels")?;
-        let located = known.locate(&known.look(&picture), database.field(), 1);
+        let located = known.locate(&known.look(&picture, database.field().line_width()), database.field(), 1);
         let found = located.found.first().filter(|found| found.refined).map(|found| found.place());
         let made = match shown.answer.made {
             crate::views::Provenance::Stored => "stored",

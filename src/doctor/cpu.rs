@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use super::{Finding, bad, good};
-use crate::config::{Settings, load_field, load_lens};
+use crate::config::{Settings, load_lens};
 use crate::scene::{Scene, SceneFile};
 use crate::tagging::durations::Durations;
 use crate::tagging::frame_cache::{FrameCache, FrameCacheOptions};
@@ -60,7 +60,7 @@ pub(super) fn check_headroom(settings: &Settings) -> Option<Finding> {
 /// Scene of a walk through the field's centre: ten frames a second for four seconds.
 fn build_scene(settings: &Settings) -> Option<Scene> {
     let lens = load_lens(settings.camera.lens.as_deref()?).ok()?.lens;
-    let field = load_field(&settings.field).ok()?;
+    let field = settings.field_dimensions().ok()?;
     let mount = &settings.mount;
     let [x, y, z] = mount.camera_xyz_m;
     let file = SceneFile::from_toml(&format!(

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use crate::config::{Settings, load_field, load_lens};
+use crate::config::{Settings, load_lens};
 use crate::log_input::body_mask;
 
 pub use delay::{DelayReport, DelayReportError, estimate_delay};
@@ -59,7 +59,7 @@ fn check_config(settings: &Settings) -> Vec<Finding> {
         Some(Err(error)) => bad("lens", error.to_string(), "correct the file or camera.lens"),
         Some(Ok(file)) => good("lens", format!("{} x {}", file.lens.width(), file.lens.height())),
     };
-    let field = match load_field(&settings.field) {
+    let field = match settings.field_dimensions() {
         Err(error) => bad("field", error.to_string(), "correct the file or field"),
         Ok(_) => good("field", settings.field.clone()),
     };

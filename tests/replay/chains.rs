@@ -62,7 +62,7 @@ fn in_tf() -> Vec<LogMessage> {
 #[test]
 fn odometry_and_attitude_in_tf_give_tags_as_good() {
     let room = Room::with_log(&in_tf());
-    let replayed = room.replay("log.mcap");
+    let replayed = room.replay("log.mcap --field kid-2009");
     assert_eq!(replayed.run.code, Some(0), "{:?}", replayed.run);
     let apart = farthest_apart(&replayed.tags, &walk().tags);
     assert!(apart < 0.02, "{apart} m");

@@ -4,6 +4,8 @@ use std::path::Path;
 
 use glam::{DQuat, DVec3};
 use realitysim::geometry::Isometry;
+use realitysim::log_input::scene_source::{self, SceneSource};
+use realitysim::ros2::LogMessage;
 use realitysim::ros2::messages::{CameraInfo, CompressedImage, PoseStamped};
 use serde_json::Value;
 
@@ -130,4 +132,38 @@ fn half_a_picture_is_not_found_elsewhere() {
     let of = |key: &str| report["best"]["pose"][key].as_f64().unwrap();
     let off_m = (of("x") + 1.96).hypot(of("y") - 0.1);
     assert!(off_m < 0.1 || report["fit"] != "good", "{off_m} m off: {report}");
+}
+
+/// Pictures of lines 12 cm wide: looked for as if they were 5 cm wide, some are not found.
+#[test]
+fn a_picture_of_wide_lines_is_found_on_its_field() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/replay/scenes/field-22x14.toml");
+    let scene = scene_source::load(Path::new(path)).unwrap();
+    let mut images = 0;
+    let is_early = |message: &LogMessage| {
+        images += i32::from(message.channel.topic == IMAGE);
+        images <= 60
+    };
+    let messages: Vec<LogMessage> = SceneSource::new(&scene).map(Result::unwrap).take_while(is_early).collect();
+    let info: Vec<CameraInfo> = decode_all(&messages, CAMERA_INFO);
+    let truths: Vec<PoseStamped> = decode_all(&messages, TRUTH);
+    let images: Vec<CompressedImage> = decode_all(&messages, IMAGE);
+    let room = Room::new();
+    room.write("camera.yaml", calibration(&info[0]));
+    for image in images.iter().step_by(15) {
+        room.write("frame.jpg", &image.data);
+        let truth = truths.iter().find(|truth| truth.header.stamp == image.header.stamp).expect("of every frame");
+        let (p, q) = (truth.pose.position, truth.pose.orientation);
+        let tilt = Isometry::new(DQuat::from_xyzw(q.x, q.y, q.z, q.w), DVec3::ZERO).euler();
+        let attitude = format!("{:.3},{:.3}", tilt.roll.to_degrees() + 0.5, tilt.pitch.to_degrees() - 0.5);
+        for field in ["--field hsl-large-2026", ""] {
+            let known = format!("--lens camera.yaml --attitude={attitude} --height {:.3} {field} --json", p.z);
+            let report = room.run(&format!("tag frame.jpg {known}")).succeeds().json();
+            let off = |pose: &Value| (pose["x"].as_f64().unwrap() - p.x).hypot(pose["y"].as_f64().unwrap() - p.y);
+            let off_m = off(&report["best"]["pose"]).min(off(&report["mirror"]));
+            println!("{field} {}: {} {off_m:.3} m off, {}", report["field"], report["fit"], report["fields"]);
+            assert_eq!(report["field"], "hsl-large-2026", "{report}");
+            assert!(report["fit"] == "good" && off_m < 0.05, "{off_m} m off: {report}");
+        }
+    }
 }

@@ -93,3 +93,25 @@ fn where_the_robot_starts_can_be_said_on_the_command_line() {
     let far = room.replay("log.mcap --initial 2.5,-1.5,170").tags;
     assert!((far[0].pose.pose.position.x - 2.5).abs() < 1.0, "it counts, and not what the log announces");
 }
+
+#[test]
+fn a_field_size_that_makes_no_sense_is_named() {
+    let room = Room::with_walk();
+    room.write_scene("scene.toml", |text| text);
+    for (arguments, words) in [
+        ("log.mcap --field-size 5.9", vec!["--field-size", "LENGTHxWIDTH", "5.90x4.02"]),
+        ("log.mcap --field-size 5.9xwide", vec!["--field-size", "LENGTHxWIDTH"]),
+        (
+            "log.mcap --field-size 4.02x5.9",
+            vec!["--field-size", "the length, from goal line to goal line, comes first"],
+        ),
+        ("log.mcap --field-size nanx4", vec!["--field-size", "1 to 200 m"]),
+        ("log.mcap --field-size 6x2", vec!["6 x 2 m is no size for the field kid-2009", "goal_area.width_m is 2.2"]),
+        ("log.mcap --set field_size_m=[6,2]", vec!["no size for the field kid-2009"]),
+        ("log.mcap --field-size 8x6 --initial 6,0,0", vec!["--initial is 6,0", "from -4.70 to 4.70 m in x"]),
+        ("scene.toml --field-size 5.9x4.02", vec!["--field-size", "scene, which names its field itself"]),
+    ] {
+        room.run(&format!("replay {arguments} -o captures")).fails(2, &words);
+    }
+    room.run("tag frame.jpg --lens lens.toml --field-size 6x4").fails(2, &["--field"]);
+}

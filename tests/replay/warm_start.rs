@@ -33,13 +33,13 @@ fn a_warm_start_goes_on_unconfirmed_and_becomes_valid() {
 #[test]
 fn a_warm_start_without_a_state_is_a_cold_one() {
     let room = Room::with_walk();
-    let warm = room.replay("log.mcap --warm-start");
+    let warm = room.replay("log.mcap --field kid-2009 --warm-start");
     super::support::assert_same(&warm.tags, &walk().tags, "first start");
 }
 
 /// The walk's own start, a warning that names the file, and a sound file in its place.
 fn assert_starts_anew(room: &Room, word: &str) {
-    let replayed = room.replay("log.mcap --warm-start");
+    let replayed = room.replay("log.mcap --field kid-2009 --warm-start");
     let run = &replayed.run;
     assert_eq!(run.code, Some(0), "nothing of the log is lost: {run:?}");
     super::support::assert_same(&replayed.tags, &walk().tags, "a cold start");
@@ -49,7 +49,7 @@ fn assert_starts_anew(room: &Room, word: &str) {
         assert!(said.contains("captures/last_state.bin") && said.contains(word), "{word}: {said}");
         assert!(said.contains("the filter began without it"), "{said}");
     }
-    let again = room.replay("log.mcap --warm-start");
+    let again = room.replay("log.mcap --field kid-2009 --warm-start");
     assert_eq!(again.report["warnings"], serde_json::json!([]), "the file is sound again");
 }
 
@@ -77,7 +77,7 @@ fn a_last_state_that_cannot_be_used_is_told_and_the_start_a_cold_one() {
     assert_starts_anew(&room, "version 1");
     // Whoever does not ask for it is not troubled by it.
     fs::write(&path, "a text").unwrap();
-    assert_eq!(room.replay("log.mcap").report["warnings"], serde_json::json!([]));
+    assert_eq!(room.replay("log.mcap --field kid-2009").report["warnings"], serde_json::json!([]));
 }
 
 #[cfg(unix)]

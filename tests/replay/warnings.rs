@@ -10,7 +10,7 @@ use super::support::{IMU, Room, TF_STATIC, changed, session_name, walk, without}
 /// One warning with these words: in the report, and once on standard error. The tags are whole all the same.
 fn assert_warned(messages: &[LogMessage], arguments: &str, words: &[&str]) {
     let room = Room::with_log(messages);
-    let replayed = room.replay(&format!("log.mcap {arguments}"));
+    let replayed = room.replay(&format!("log.mcap --field kid-2009 {arguments}"));
     let run = &replayed.run;
     assert_eq!(run.code, Some(0), "{run:?}");
     let warnings = replayed.report["warnings"].as_array().unwrap();
@@ -21,7 +21,7 @@ fn assert_warned(messages: &[LogMessage], arguments: &str, words: &[&str]) {
     }
     assert_eq!(run.stderr.matches(warning).count(), 1, "{run:?}");
     assert!(replayed.tags.len() == walk().frames());
-    let spoken = room.run(&format!("replay log.mcap -o captures {arguments}")).succeeds();
+    let spoken = room.run(&format!("replay log.mcap -o captures --field kid-2009 {arguments}")).succeeds();
     assert!(spoken.stdout.contains("1 warning") && spoken.stderr.contains(warning), "{spoken:?}");
 }
 
@@ -32,7 +32,7 @@ fn all_frames() -> String {
 #[test]
 fn a_log_with_an_attitude_is_no_reason_to_warn() {
     let room = Room::with_walk();
-    let replayed = room.replay("log.mcap");
+    let replayed = room.replay("log.mcap --field kid-2009");
     assert_eq!(replayed.report["warnings"], serde_json::json!([]));
     assert!(!replayed.run.stderr.contains("warning"), "{:?}", replayed.run);
 }
@@ -46,7 +46,7 @@ fn a_lens_that_is_not_as_it_was_calibrated_is_told_and_allowed_for() {
         )
     });
     room.run("sim scene.toml -o log.mcap").succeeds();
-    let replayed = room.replay("log.mcap");
+    let replayed = room.replay("log.mcap --field kid-2009");
     let warnings = replayed.report["warnings"].as_array().expect("warnings");
     let focal_percent = |said: &str| said.split("focal length ").nth(1)?.split(" %").next()?.parse::<f64>().ok();
     let told = warnings[0].as_str().and_then(focal_percent);
@@ -91,7 +91,7 @@ fn two_imus_of_other_names_are_to_be_chosen_from() {
     messages.sort_by_key(|message| message.log_time_ns);
     assert_warned(&messages, "", &[&all_frames(), "topics.imu", "/head/imu, /torso/imu"]);
     let room = Room::with_log(&messages);
-    let chosen = room.replay("log.mcap --set topics.imu=/torso/imu");
+    let chosen = room.replay("log.mcap --field kid-2009 --set topics.imu=/torso/imu");
     assert_eq!(chosen.report["warnings"], serde_json::json!([]));
 }
 
@@ -116,6 +116,27 @@ fn a_chain_that_does_not_pass_the_torso_is_told() {
     });
     assert_warned(&messages, "", &[&all_frames(), "base_link", "frames.base_link"]);
     let room = Room::with_log(&messages);
-    let named = room.replay("log.mcap --set frames.base_link=trunk");
+    let named = room.replay("log.mcap --field kid-2009 --set frames.base_link=trunk");
     assert_eq!(named.report["warnings"], serde_json::json!([]));
+}
+
+#[test]
+fn a_field_that_nobody_named_is_told_with_its_size() {
+    let room = Room::with_walk();
+    let replayed = room.replay("log.mcap");
+    let told = replayed.report["warnings"].to_string();
+    assert!(told.contains("kid-2009 is assumed, which is 6 x 4 m") && told.contains("--field NAME"), "{told}");
+    assert!(replayed.run.stderr.contains("no field was named"), "{:?}", replayed.run);
+    let is_silent = |arguments: &str| room.replay(arguments).report["warnings"] == serde_json::json!([]);
+    room.write("robot.toml", "field = \"kid-2009\"\n");
+    assert!(is_silent("log.mcap --config robot.toml") && is_silent("log.mcap --set field=kid-2009"));
+    room.write("robot.toml", "robot = \"field\"\n");
+    assert!(!is_silent("log.mcap --config robot.toml"));
+    // A capture says on which field it was recorded, and a scene on which it plays.
+    assert!(is_silent(&session_name(&replayed)));
+    room.write_scene("scene.toml", |text| text);
+    assert!(is_silent("scene.toml"));
+    let other = room.replay("log.mcap --field-size 5.98x3.98 --set field=kid-2009");
+    let told = room.replay(&session_name(&other)).report["warnings"].to_string();
+    assert!(told.contains("the capture was recorded on kid-2009 of 5.98 x 3.98 m"), "{told}");
 }

@@ -16,6 +16,7 @@ pub fn kid_2009() -> FieldDimensions {
         line_width_m: 0.05,
         border_strip_m: 0.7,
         centre_circle_diameter_m: 1.2,
+        corner_arc_radius_m: None,
         goal_area: Some(Area { depth_m: 0.6, width_m: 2.2 }),
         penalty_area: None,
         penalty_mark_from_goal_line_m: Some(1.8),

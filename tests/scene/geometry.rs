@@ -30,18 +30,17 @@ struct Report {
     strength: f64,
 }
 
-fn line(remove: fn(&mut FieldDimensions), at: fn(f64, f64) -> DVec2) -> Line {
+fn line(with: FieldDimensions, without: FieldDimensions, at: fn(f64, f64) -> DVec2) -> Line {
     let renderer = |field| {
         let file = SceneFile::from_toml(STRAIGHT).expect("readable");
         Renderer::new(&Scene::build(file, field, fisheye_640()).expect("possible"))
     };
-    let mut without = kid_2009();
-    remove(&mut without);
-    Line { with: renderer(kid_2009()), without: renderer(without), lens: Lens::new(fisheye_640()).expect("good"), at }
+    Line { with: renderer(with), without: renderer(without), lens: Lens::new(fisheye_640()).expect("good"), at }
 }
 
 fn goal_area_front() -> Line {
-    line(|field| field.goal_area = None, |t, across| DVec2::new(2.4 + across, 0.6 - 1.2 * t))
+    let without = FieldDimensions { goal_area: None, ..kid_2009() };
+    line(kid_2009(), without, |t, across| DVec2::new(2.4 + across, 0.6 - 1.2 * t))
 }
 
 /// The half of the centre circle that is farther from a camera in the west, and the nearer one.
@@ -51,7 +50,14 @@ fn circle(far: bool) -> Line {
     } else {
         |t, across| -DVec2::from_angle(1.4 * t - 0.7) * (0.6 - across)
     };
-    line(|field| field.centre_circle_diameter_m = 0.0, at)
+    line(kid_2009(), FieldDimensions { centre_circle_diameter_m: 0.0, ..kid_2009() }, at)
+}
+
+/// The arc at the corner of positive x and y, seen from the field.
+fn corner_arc() -> Line {
+    let with = FieldDimensions { corner_arc_radius_m: Some(0.6), ..kid_2009() };
+    let at = |t: f64, across: f64| DVec2::new(3.0, 2.0) - DVec2::from_angle(0.3 + t) * (0.6 - across);
+    line(with, kid_2009(), at)
 }
 
 fn camera(x: f64, y: f64, yaw: f64, pitch: f64, roll: f64) -> Isometry {
@@ -160,6 +166,39 @@ fn a_circle_is_where_the_lens_says() {
             assert!((report.strength - 1.0).abs() < 0.03, "{report:?}");
         }
     }
+}
+
+#[test]
+fn a_corner_arc_is_where_the_lens_says_and_ends_at_the_lines() {
+    let arc = corner_arc();
+    for pose in [
+        camera(1.6, 0.7, 0.75, 0.3, 0.0),
+        camera(1.0, 0.2, 0.7, 0.3, 0.02),
+        camera(0.2, -0.6, 0.8, 0.25, -0.03),
+        camera(1.9, 1.2, 0.7, 0.4, 0.0),
+    ] {
+        let report = arc.report(&pose);
+        assert!(report.columns > 30, "{report:?}");
+        assert!(report.mean_error_px.abs() < 0.02, "{report:?}");
+        assert!(report.rms_error_px < 0.04, "{report:?}");
+        assert!((report.strength - 1.0).abs() < 0.03, "{report:?}");
+    }
+    // Seen from outside of the field, nothing differs beyond the corner's lines.
+    let pose = camera(3.4, 2.9, -2.1, 0.5, 0.0);
+    let [mut with, mut without] = [Vec::new(), Vec::new()];
+    arc.with.render_clean(&pose, 0, &mut with);
+    arc.without.render_clean(&pose, 0, &mut without);
+    let map_from_optical = pose * Isometry::link_from_optical();
+    let mut inside = 0;
+    for at in (0..640 * 480).filter(|at| with[3 * at..3 * at + 3] != without[3 * at..3 * at + 3]) {
+        let pixel = DVec2::new((at % 640) as f64, (at / 640) as f64);
+        let ray = map_from_optical.transform_vector(arc.lens.unproject(pixel).expect("in view"));
+        assert!(ray.z < 0.0, "{pixel}");
+        let ground = (pose.translation - ray * (pose.translation.z / ray.z)).truncate();
+        assert!(ground.x < 3.03 && ground.y < 2.03 && ground.x > 2.3 && ground.y > 1.3, "{pixel} {ground}");
+        inside += 1;
+    }
+    assert!(inside > 100, "{inside}");
 }
 
 #[test]

@@ -66,6 +66,16 @@ pub enum ConfigError {
         /// Error that names the dimension.
         source: FieldError,
     },
+    /// A field cannot have the size that was measured.
+    #[error("{} x {} m is no size for the field {field}: {source}", size_m[0], size_m[1])]
+    FieldSize {
+        /// Path of the field's file, or its name if the field is shipped.
+        field: String,
+        /// Length and width, metres.
+        size_m: [f64; 2],
+        /// Error that names what no longer fits.
+        source: FieldError,
+    },
     /// A lens file is wrong.
     #[error("{file}: {source}")]
     Lens {

@@ -25,6 +25,37 @@ pub fn load_field(path_or_name: &str) -> Result<FieldDimensions, ConfigError> {
     parse_field(&source.text, &source.name)
 }
 
+/// Loads a field as [`load_field`] does, with touchlines and goal lines where they were measured.
+///
+/// `size_m` is length and width between the centres of the lines, metres. Carpets of one rule book differ by centimetres, and
+/// their owners measure the long lines only: the rest stays as the field's file says, relative to the goal lines.
+///
+/// # Errors
+/// Besides those of [`load_field`]: areas, circle or marks do not fit into that size.
+pub fn load_field_of_size(path_or_name: &str, size_m: Option<[f64; 2]>) -> Result<FieldDimensions, ConfigError> {
+    let named = load_field(path_or_name)?;
+    let Some(size_m) = size_m else { return Ok(named) };
+    match Field::new(named.of_size(size_m)) {
+        Ok(field) => Ok(field.dimensions().clone()),
+        Err(source) => Err(ConfigError::FieldSize { field: path_or_name.to_owned(), size_m, source }),
+    }
+}
+
+/// Checks a measured length and width of a field, metres; whether the areas of a field fit into it is not known here.
+///
+/// # Errors
+/// The message says what is wrong and what would be right.
+pub fn check_field_size([length_m, width_m]: [f64; 2]) -> Result<(), String> {
+    let is_possible = |metres: f64| (1.0..=200.0).contains(&metres);
+    if !is_possible(length_m) || !is_possible(width_m) {
+        return Err(format!("{length_m} x {width_m}: length and width of a field are 1 to 200 m"));
+    }
+    if length_m < width_m {
+        return Err(format!("{length_m} x {width_m}: the length, from goal line to goal line, comes first"));
+    }
+    Ok(())
+}
+
 /// Returns the file that [`load_field`] would read, or `None` if it would take a shipped field.
 pub fn field_file(path_or_name: &str) -> Option<PathBuf> {
     SHIPPED.file(path_or_name)

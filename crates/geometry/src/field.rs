@@ -2,7 +2,7 @@
 //!
 //! Coordinates are those of `map`: the origin at the field's centre, x towards one goal, y left, metres.
 
-use core::f64::consts::TAU;
+use core::f64::consts::{FRAC_PI_2, TAU};
 
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -26,6 +26,9 @@ pub struct FieldDimensions {
     pub border_strip_m: f64,
     /// Diameter of the centre circle, metres; 0 if there is none.
     pub centre_circle_diameter_m: f64,
+    /// Radius of the quarter circle around each corner of the field, metres, if the corners have one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub corner_arc_radius_m: Option<f64>,
     /// Goal area in front of each goal, if it is painted.
     pub goal_area: Option<Area>,
     /// Penalty area in front of each goal, if it is painted.
@@ -93,6 +96,17 @@ pub enum Stroke {
         /// Radius, metres.
         radius: f64,
     },
+    /// A quarter of a circle.
+    Quarter {
+        /// Centre of the circle, metres.
+        centre: DVec2,
+        /// Radius, metres.
+        radius: f64,
+        /// Signs of x and y on the side of the centre where the quarter lies, 1 or -1 each.
+        ///
+        /// Signs instead of an angle, so that the quarters of mirrored corners are mirrored to the last bit.
+        side: DVec2,
+    },
 }
 
 /// A point on the centre line of a painted line.
@@ -114,6 +128,15 @@ pub struct Field {
 }
 
 impl FieldDimensions {
+    /// Moves touchlines and goal lines to a measured length and width, metres between centre lines.
+    ///
+    /// The areas, circle and marks keep their sizes, and their places relative to the goal line that they belong to.
+    /// [`Field::new`] tells whether they still fit.
+    #[must_use]
+    pub fn of_size(self, [length_m, width_m]: [f64; 2]) -> Self {
+        Self { length_m, width_m, ..self }
+    }
+
     /// Whether both describe the same field; titles are ignored.
     pub fn is_same_as(&self, other: &Self) -> bool {
         Self { title: String::new(), ..self.clone() } == Self { title: String::new(), ..other.clone() }
@@ -156,7 +179,8 @@ impl Field {
                 let reach = |end| if meets(which, end) { half_width } else { 0.0 };
                 Stroke::Segment { from: from - along * reach(from), to: to + along * reach(to) }
             }
-            circle => circle,
+            // A quarter ends square at the centre of the line that it meets, whose paint covers the end.
+            round => round,
         };
         self.strokes.iter().enumerate().map(extended).collect()
     }
@@ -207,6 +231,7 @@ impl Stroke {
         match *self {
             Stroke::Segment { from, to } => from.distance(to),
             Stroke::Circle { radius, .. } => TAU * radius,
+            Stroke::Quarter { radius, .. } => FRAC_PI_2 * radius,
         }
     }
 
@@ -219,6 +244,14 @@ impl Stroke {
                 point.distance(from + along * t)
             }
             Stroke::Circle { centre, radius } => (point.distance(centre) - radius).abs(),
+            Stroke::Quarter { centre, radius, side } => {
+                let off = (point - centre) * side;
+                if off.min_element() >= 0.0 {
+                    (off.length() - radius).abs()
+                } else {
+                    off.distance(DVec2::X * radius).min(off.distance(DVec2::Y * radius))
+                }
+            }
         }
     }
 
@@ -238,6 +271,11 @@ impl Stroke {
                     Stroke::Circle { centre, radius } => {
                         let (sin, cos) = libm::sincos(TAU * t);
                         let normal = DVec2::new(cos, sin);
+                        FieldPoint { position: centre + normal * radius, normal, length }
+                    }
+                    Stroke::Quarter { centre, radius, side } => {
+                        let (sin, cos) = libm::sincos(FRAC_PI_2 * t);
+                        let normal = DVec2::new(cos, sin) * side;
                         FieldPoint { position: centre + normal * radius, normal, length }
                     }
                 }
@@ -279,6 +317,11 @@ fn layout(d: &FieldDimensions) -> Vec<Stroke> {
             strokes.push(segment(side * x, -half, front, -half));
         }
     }
+    if let Some(radius) = d.corner_arc_radius_m {
+        let signs = [DVec2::new(1.0, 1.0), DVec2::new(-1.0, 1.0), DVec2::new(-1.0, -1.0), DVec2::new(1.0, -1.0)];
+        let arc = |sign: DVec2| Stroke::Quarter { centre: sign * DVec2::new(x, y), radius, side: -sign };
+        strokes.extend(signs.map(arc));
+    }
     strokes
 }
 
@@ -307,6 +350,12 @@ fn validate(d: &FieldDimensions) -> Result<(), FieldError> {
             within(width_key, area.width_m, 0.05, d.width_m, "the area must fit between the touchlines")?;
         }
     }
+    if let Some(radius) = d.corner_arc_radius_m {
+        let areas = [d.goal_area, d.penalty_area].into_iter().flatten().map(|area| area.width_m);
+        let beside_areas = (d.width_m - areas.fold(0.0, f64::max)) / 2.0;
+        let room = beside_areas.min(d.length_m / 2.0);
+        within("corner_arc_radius_m", radius, 0.05, room, "an arc of 0.05 m or more must end before the areas")?;
+    }
     if let Some(mark) = d.penalty_mark_from_goal_line_m {
         let expected = "the mark lies between goal line and halfway line";
         within("penalty_mark_from_goal_line_m", mark, 0.05, d.length_m / 2.0, expected)?;
@@ -323,6 +372,7 @@ fn validate(d: &FieldDimensions) -> Result<(), FieldError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     /// The 6 x 4 m field of the paper.
     fn kid_size_2013() -> FieldDimensions {
@@ -333,6 +383,7 @@ mod tests {
             line_width_m: 0.05,
             border_strip_m: 0.7,
             centre_circle_diameter_m: 1.2,
+            corner_arc_radius_m: None,
             goal_area: Some(Area { depth_m: 0.6, width_m: 2.2 }),
             penalty_area: None,
             penalty_mark_from_goal_line_m: Some(1.8),
@@ -364,18 +415,86 @@ mod tests {
             .iter()
             .filter_map(|stroke| match *stroke {
                 Stroke::Segment { from, to } => Some((from, to)),
-                Stroke::Circle { .. } => None,
+                Stroke::Circle { .. } | Stroke::Quarter { .. } => None,
             })
             .collect();
         assert!(ends.contains(&(DVec2::new(-3.025, 2.0), DVec2::new(3.025, 2.0))), "touchline: {ends:?}");
         assert!(ends.contains(&(DVec2::new(-1.25, 0.0), DVec2::new(-1.15, 0.0))), "penalty mark: {ends:?}");
     }
 
+    /// A field with everything that can be painted.
+    fn with_corner_arcs(radius_m: f64) -> Field {
+        let penalty_area = Some(Area { depth_m: 1.2, width_m: 2.8 });
+        let corner_arc_radius_m = Some(radius_m);
+        Field::new(FieldDimensions { penalty_area, corner_arc_radius_m, ..kid_size_2013() }).expect("a good field")
+    }
+
+    #[test]
+    fn corner_arcs_lie_at_their_radius_inside_the_field() {
+        let field = with_corner_arcs(0.5);
+        let arcs: Vec<&Stroke> = field.strokes().iter().filter(|s| matches!(s, Stroke::Quarter { .. })).collect();
+        assert_eq!(arcs.len(), 4);
+        for arc in arcs {
+            for point in arc.points(0.02) {
+                let corner = DVec2::new(3.0, 2.0) * point.position.signum();
+                assert!((point.position.distance(corner) - 0.5).abs() < 1e-12, "{point:?}");
+                assert!(point.position.abs().cmplt(DVec2::new(3.0, 2.0)).all(), "{point:?}");
+                assert!((point.normal.perp_dot(point.position - corner)).abs() < 1e-12, "{point:?}");
+            }
+            assert!((arc.length() - 0.5 * FRAC_PI_2).abs() < 1e-12);
+        }
+    }
+
+    /// The oracle is the nearest of many points.
+    #[test]
+    fn the_distance_to_an_arc_is_that_to_its_nearest_point() {
+        let arc = Stroke::Quarter { centre: DVec2::new(3.0, -2.0), radius: 0.5, side: DVec2::new(-1.0, 1.0) };
+        let points = arc.points(0.0005);
+        for index in 0..400 {
+            let at = DVec2::new(2.0 + 0.1 * f64::from(index % 20), -3.0 + 0.1 * f64::from(index / 20));
+            let nearest = points.iter().map(|point| point.position.distance(at)).fold(f64::INFINITY, f64::min);
+            assert!((arc.distance(at) - nearest).abs() < 3e-4, "{at}: {} {nearest}", arc.distance(at));
+        }
+    }
+
+    #[test]
+    fn a_field_of_another_size_keeps_its_areas_at_the_goal_lines() {
+        let of_size = |size_m| Field::new(kid_size_2013().of_size(size_m));
+        let field = of_size([5.9, 4.02]).expect("a good field");
+        for at in [(2.95, 1.0), (-1.0, 2.01), (2.35, 0.5), (2.6, -1.1), (1.15, 0.0), (0.6, 0.0)] {
+            let off = field.distance_to_centre_line(at.into());
+            assert!(off < 1e-12, "{at:?}: {off}");
+        }
+        assert_eq!(of_size([5.9, 2.1]).expect_err("too narrow").key, "goal_area.width_m");
+        assert_eq!(of_size([1.1, 4.0]).expect_err("too short").key, "centre_circle_diameter_m");
+    }
+
     #[test]
     fn the_field_looks_the_same_from_both_goals() {
         let field = Field::new(kid_size_2013()).expect("a good field");
-        for point in field.points(200) {
-            assert!(field.distance_to_centre_line(-point.position) < 1e-12);
+        for field in [field, with_corner_arcs(0.4)] {
+            for FieldPoint { position, .. } in field.points(200) {
+                for mirrored in [-position, position * DVec2::new(1.0, -1.0), position * DVec2::new(-1.0, 1.0)] {
+                    assert!(field.distance_to_centre_line(mirrored) < 1e-12);
+                }
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_field_of_any_size_with_arcs_is_the_same_in_every_mirror(
+            length_m in 4.0..30.0f64, width_m in 3.6..20.0f64, radius in 0.05..0.4f64, line_width_m in 0.03..0.15f64
+        ) {
+            let dimensions = with_corner_arcs(radius).dimensions().clone().of_size([length_m, width_m]);
+            let field = Field::new(FieldDimensions { line_width_m, ..dimensions }).expect("a good field");
+            for FieldPoint { position, normal, .. } in field.points(300) {
+                prop_assert!((normal.length() - 1.0).abs() < 1e-12);
+                for signs in [DVec2::new(1.0, 1.0), DVec2::new(1.0, -1.0), DVec2::new(-1.0, 1.0), DVec2::new(-1.0, -1.0)] {
+                    let off = field.distance_to_centre_line(position * signs);
+                    prop_assert!(off < 1e-12, "{position} {off}");
+                }
+            }
         }
     }
 
@@ -386,5 +505,9 @@ mod tests {
         let area = Some(Area { depth_m: 4.0, width_m: 2.0 });
         let error = Field::new(FieldDimensions { goal_area: area, ..kid_size_2013() }).expect_err("refused");
         assert_eq!(error.key, "goal_area.depth_m");
+        for radius in [0.0, -1.0, f64::NAN, 0.95] {
+            let arc = FieldDimensions { corner_arc_radius_m: Some(radius), ..kid_size_2013() };
+            assert_eq!(Field::new(arc).expect_err("refused").key, "corner_arc_radius_m");
+        }
     }
 }

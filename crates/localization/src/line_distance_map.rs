@@ -48,8 +48,8 @@ const MARGIN_M: f64 = 0.5;
 const DISTANCE_LIMIT_M: f64 = 2.5;
 /// Stored units per metre.
 const PER_METRE: f64 = 100.0;
-/// Area that is taken as explained beforehand: a metre of line, square metres.
-const PRIOR_M2: f64 = 0.05;
+/// Length of line that is taken as explained beforehand, metres.
+const PRIOR_M: f64 = 1.0;
 /// Distance from a line's centre within which it explains a place, in line widths: half the paint's width and its blur.
 const BESIDE_WIDTHS: f64 = 1.2;
 /// Addition to that distance for the remaining error of the pose, metres for each metre from the camera.
@@ -104,8 +104,8 @@ impl LineDistanceMap {
             shown += weight;
             explained += if is_on_line { weight } else { 0.0 };
         });
-        let m2 = lines.clear_line_m2();
-        ExplainedLines { shown_m2: shown * m2, share: (explained * m2 + PRIOR_M2) / (shown * m2 + PRIOR_M2) }
+        let (m2, prior_m2) = (lines.clear_line_m2(), PRIOR_M * self.line_width_m);
+        ExplainedLines { shown_m2: shown * m2, share: (explained * m2 + prior_m2) / (shown * m2 + prior_m2) }
     }
 
     /// Share of the lines in a picture, at any distance, that are painted where the pose `map_from_optical` puts them.

@@ -3,14 +3,15 @@
 //! A few of the frames are located again, each alone as `realitysim tag` does it, with other fields, other lenses and other
 //! mounts. Nothing is assumed about how the robot moved.
 
+use std::borrow::Cow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use super::perception_pool::decode_picture;
 use super::setup::FramePerception;
-use super::single_image::{FitQuality, ImagePrior};
-use realitysim_config::{Settings, Topics, field_names, lens_names, load_field, load_lens};
-use realitysim_geometry::{Euler, Field, Isometry, Lens, LensParameters};
+use super::single_image::{FitQuality, ImagePrior, PoseHypothesis, searched_m2};
+use realitysim_config::{Settings, Topics, field_names, lens_names, load_field_of_size, load_lens};
+use realitysim_geometry::{Euler, Field, FieldDimensions, Isometry, Lens, LensParameters};
 use realitysim_log_input::synchroniser::Frame;
 use realitysim_log_input::transforms::Head;
 use realitysim_ros2::mcap_read::LogMessage;
@@ -32,7 +33,7 @@ struct Sample {
     head: Option<Head>,
 }
 
-/// Number of samples kept: enough to tell a cause from chance, few enough to be searched a hundred times.
+/// Number of samples kept: enough to tell a cause from chance, few enough to be searched often.
 const SAMPLES: usize = 6;
 
 /// Fewest samples for a diagnosis. Some frames are always unplaced, because a pose needs several frames to be confirmed.
@@ -103,6 +104,18 @@ struct Tried {
     clear: usize,
     /// Sum of the log likelihoods of all samples, each at least 0.
     log_likelihood: f64,
+    /// The same, each times the shares of line places that fit and of seen lines that are explained.
+    ///
+    /// Wide lines are seen farther away, so that their log likelihoods are greater, also those of a wrong pose. The shares
+    /// make fields with lines of different widths comparable.
+    explained: f64,
+}
+
+/// How well a sample fits with one change.
+struct Located {
+    fit: FitQuality,
+    log_likelihood: f64,
+    explained: f64,
 }
 
 /// Ratio of log likelihoods, changed to unchanged, from which a change is named as the cause. Measured: the right
@@ -131,35 +144,48 @@ const SCALE_RATIO: f64 = 1.07;
 const TILT_SIGMA_RAD: f64 = 0.005;
 /// Number of focal lengths and heights tried to each side.
 const SCALE_STEPS: i32 = 5;
-/// Number of lenses and of mounts, the best by two samples, that are tried with all samples.
+/// Number of fields, of lenses and of mounts, the best by a few samples, that are tried with all samples.
 const FINALISTS: usize = 3;
+/// Largest area of carpet that a diagnosis searches, all its searches together, square metres.
+///
+/// The number of searches is bounded by the steps above and by the shipped fields and lenses, and a search takes as long as
+/// its field is large: 60 million poses in all at most. Fields of up to 9 x 6 m need no more; on larger ones fewer samples are searched.
+const MAX_SEARCHED_M2: f64 = 17_000.0;
+/// Numbers of samples for a whole diagnosis and for its first rounds, the best that fits into [`MAX_SEARCHED_M2`].
+const SAMPLE_COUNTS: [[usize; 2]; 4] = [[SAMPLES, 2], [SAMPLES, 1], [4, 1], [MIN_SAMPLES, 1]];
 
 impl DiagnosisInput<'_> {
-    /// The most probable cause in one or two sentences, or `None` if there are too few frames to tell.
+    /// The most probable cause in one or two sentences, or `None` if there are too few frames to tell, or the field is too
+    /// large to be searched often enough.
+    ///
+    /// Its work is bounded by the area that it searches: [`MAX_SEARCHED_M2`].
     pub fn cause(&self, unplaced: &UnplacedFrames) -> Option<String> {
-        let all: Vec<&Sample> = unplaced.frames.iter().collect();
+        let is_other =
+            |name: &String| self.other_field(name).is_some_and(|field| !field.is_same_as(self.field.dimensions()));
+        let others: Vec<Change> = field_names().into_iter().filter(is_other).map(Change::Field).collect();
+        let (lenses, mounts) = (self.lenses(), mounts());
+        let [most, few] = self.sample_counts(&others, lenses.len() + mounts.len())?;
+        let all = spread(&unplaced.frames, most);
         if all.len() < MIN_SAMPLES {
             return None;
         }
-        let own = self.try_changes(&[Change::Nothing], &all).remove(0);
-        let is_other = |name: &String| load_field(name).is_ok_and(|field| !field.is_same_as(self.field.dimensions()));
-        let others = field_names().into_iter().filter(is_other).map(Change::Field);
-        let mut fields = self.try_changes(&others.collect::<Vec<_>>(), &all);
-        sort(&mut fields);
-        let is_clear = |tried: &Tried| fits_mostly(tried, all.len()) && explains_more(tried, &own, CLEAR_RATIO);
-        if let Some(best) = fields.first().filter(|best| is_clear(best)) {
-            return Some(self.describe_field(best, &fields, &own, all.len()));
-        }
-        let two: Vec<&Sample> = [all.len() / 4, 3 * all.len() / 4].map(|index| all[index]).to_vec();
-        let best_of = |changes: Vec<Change>| {
-            let mut tried = self.try_changes(&changes, &two);
+        let few: Vec<&Sample> = spread(&all, few).into_iter().copied().collect();
+        let finals_of = |changes: Vec<Change>| {
+            let mut tried = self.try_changes(&changes, &few);
             sort(&mut tried);
             let finalists: Vec<Change> = tried.into_iter().take(FINALISTS).map(|tried| tried.change).collect();
             let mut tried = self.try_changes(&finalists, &all);
             sort(&mut tried);
-            tried.into_iter().next()
+            tried
         };
-        let (lens, mount) = (best_of(self.lenses()), best_of(mounts()));
+        let own = self.try_changes(&[Change::Nothing], &all).remove(0);
+        let fields = finals_of(others);
+        let is_clear = |tried: &Tried| fits_mostly(tried, all.len()) && tried.explained > CLEAR_RATIO * own.explained;
+        if let Some(best) = fields.first().filter(|best| is_clear(best)) {
+            return Some(self.describe_field(best, &fields, &own, all.len()));
+        }
+        let best_of = |changes| finals_of(changes).into_iter().next();
+        let (lens, mount) = (best_of(lenses), best_of(mounts));
         let found: Vec<Tried> = [fields.into_iter().next(), lens, mount].into_iter().flatten().collect();
         Some(self.describe(&own, &found, all.len()))
     }
@@ -210,8 +236,7 @@ impl DiagnosisInput<'_> {
 
     /// The text for a wrong field, with the other fields that explain nearly as much.
     fn describe_field(&self, best: &Tried, fields: &[Tried], own: &Tried, frames: usize) -> String {
-        let near =
-            |tried: &&Tried| tried.log_likelihood > NEAR_SHARE * best.log_likelihood && fits_mostly(tried, frames);
+        let near = |tried: &&Tried| tried.explained > NEAR_SHARE * best.explained && fits_mostly(tried, frames);
         let names = fields.iter().filter(near).filter_map(|tried| match &tried.change {
             Change::Field(name) => Some(name.as_str()),
             _ => None,
@@ -225,8 +250,22 @@ impl DiagnosisInput<'_> {
             fit(best.fits),
             own.fits,
             self.settings.field,
-            times_more(best, own)
+            ratio(best.explained, own.explained)
         )
+    }
+
+    /// Numbers of samples for the whole diagnosis and for its first rounds, or `None` if no number fits into
+    /// [`MAX_SEARCHED_M2`]. `others` are the other fields, `changes` counts lenses and mounts.
+    fn sample_counts(&self, others: &[Change], changes: usize) -> Option<[usize; 2]> {
+        let area_m2 = |change: &Change| self.field_of(change).map_or(0.0, |field| searched_m2(&field));
+        let own_m2 = searched_m2(self.field);
+        let others_m2: Vec<f64> = others.iter().map(area_m2).collect();
+        let largest_m2 = others_m2.iter().copied().fold(0.0, f64::max);
+        let finalists = FINALISTS as f64;
+        let finals_m2 = (1.0 + 2.0 * finalists) * own_m2 + finalists * largest_m2;
+        let first_m2 = changes as f64 * own_m2 + others_m2.iter().sum::<f64>();
+        let fits = |[most, few]: &[usize; 2]| *most as f64 * finals_m2 + *few as f64 * first_m2 <= MAX_SEARCHED_M2;
+        SAMPLE_COUNTS.into_iter().find(fits)
     }
 
     /// Tries each change with the samples; the results are in the order of `changes`.
@@ -234,23 +273,24 @@ impl DiagnosisInput<'_> {
         let found = in_parallel(self.threads, changes.len() * samples.len(), |index| {
             self.locate(&changes[index / samples.len()], samples[index % samples.len()])
         });
-        let of = |(change, found): (&Change, &[Option<(FitQuality, f64)>])| {
+        let of = |(change, found): (&Change, &[Option<Located>])| {
             let found = found.iter().flatten();
-            let count = |is: fn(FitQuality) -> bool| found.clone().filter(|(fit, _)| is(*fit)).count();
+            let count = |is: fn(FitQuality) -> bool| found.clone().filter(|located| is(located.fit)).count();
             Tried {
                 change: change.clone(),
                 fits: count(|fit| fit != FitQuality::None),
                 clear: count(|fit| fit == FitQuality::Good),
-                log_likelihood: found.map(|(_, log_likelihood)| log_likelihood.max(0.0)).sum(),
+                log_likelihood: found.clone().map(|located| located.log_likelihood.max(0.0)).sum(),
+                explained: found.map(|located| located.explained).sum(),
             }
         };
         changes.iter().zip(found.chunks(samples.len().max(1))).map(of).collect()
     }
 
-    /// Locates one sample with one change: how well the best pose fits, and its log likelihood.
+    /// Locates one sample with one change.
     ///
     /// `None` if the image or the field cannot be read, or no pose is found.
-    fn locate(&self, change: &Change, sample: &Sample) -> Option<(FitQuality, f64)> {
+    fn locate(&self, change: &Change, sample: &Sample) -> Option<Located> {
         let given = self.perception.vision.lens();
         let lens = match change {
             Change::Lens(name) => load_lens(name).ok()?.lens,
@@ -268,17 +308,28 @@ impl DiagnosisInput<'_> {
             Change::Height(times) => (pitch, roll, height_m * times),
             _ => (pitch, roll, height_m),
         };
-        let other = match change {
-            Change::Field(name) => Some(Field::new(load_field(name).ok()?).ok()?),
-            _ => None,
-        };
+        let field = self.field_of(change)?;
         let picture = decode_picture(&sample.message, &lens).ok()?;
         let body = self.perception.body(sample.head).cloned();
         let attitude = Euler { yaw: 0.0, pitch, roll };
         let known = ImagePrior { lens, attitude, tilt_sigma_rad: TILT_SIGMA_RAD, height_m, initial: None, body };
-        let located =
-            known.locate(&known.look(&picture), other.as_ref().unwrap_or(self.field), self.settings.filter.seed);
-        Some((located.fit(), located.found.first()?.log_likelihood))
+        let located = known.locate(&known.look(&picture, field.line_width()), &field, self.settings.filter.seed);
+        let PoseHypothesis { log_likelihood, explained, lines, .. } = *located.found.first()?;
+        let explained = log_likelihood.max(0.0) * lines.share * explained;
+        Some(Located { fit: located.fit(), log_likelihood, explained })
+    }
+
+    /// The field with a change; `None` if it cannot be read.
+    fn field_of(&self, change: &Change) -> Option<Cow<'_, Field>> {
+        match change {
+            Change::Field(name) => Some(Cow::Owned(Field::new(self.other_field(name)?).ok()?)),
+            _ => Some(Cow::Borrowed(self.field)),
+        }
+    }
+
+    /// A shipped field, of the measured size if the settings have one; `None` if its areas do not fit into that.
+    fn other_field(&self, name: &str) -> Option<FieldDimensions> {
+        load_field_of_size(name, self.settings.field_size_m).ok()
     }
 
     /// The changes of the lens that are tried: the shipped lenses with as many pixels, and other focal lengths.
@@ -304,14 +355,24 @@ fn mounts() -> Vec<Change> {
     pitches.chain(rolls).chain(scales().map(Change::Height)).collect()
 }
 
+/// At most `count` of the items, spread evenly: of two, those at a quarter and at three quarters.
+fn spread<T>(items: &[T], count: usize) -> Vec<&T> {
+    let count = count.min(items.len());
+    (0..count).map(|index| &items[(2 * index + 1) * items.len() / (2 * count)]).collect()
+}
+
 /// The factors of focal length and height that are tried.
 fn scales() -> impl Iterator<Item = f64> {
     (-SCALE_STEPS..=SCALE_STEPS).filter(|step| *step != 0).map(|step| libm::pow(SCALE_RATIO, f64::from(step)))
 }
 
-/// Sorts by log likelihood, greatest first.
+/// Sorts by what is explained, most first: fields by [`Tried::explained`], all else by log likelihood.
 fn sort(tried: &mut [Tried]) {
-    tried.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+    let worth = |tried: &Tried| match tried.change {
+        Change::Field(_) => tried.explained,
+        _ => tried.log_likelihood,
+    };
+    tried.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
 }
 
 fn fits_mostly(tried: &Tried, frames: usize) -> bool {
@@ -324,7 +385,11 @@ fn explains_more(tried: &Tried, own: &Tried, times: f64) -> bool {
 
 /// The ratio of log likelihoods for texts, bounded because the divisor may be 0.
 fn times_more(tried: &Tried, own: &Tried) -> f64 {
-    (tried.log_likelihood / own.log_likelihood.max(1e-9)).min(99.0)
+    ratio(tried.log_likelihood, own.log_likelihood)
+}
+
+fn ratio(tried: f64, own: f64) -> f64 {
+    (tried / own.max(1e-9)).min(99.0)
 }
 
 fn fit(count: usize) -> String {

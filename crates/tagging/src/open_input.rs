@@ -93,6 +93,7 @@ pub(super) fn scene<'a>(
 ) -> Result<(Setup, impl Iterator<Item = Result<LogMessage, ReplayError>> + use<'a>), ReplayError> {
     let mut settings = settings.clone();
     settings.field = scene.file().scene.field.clone();
+    settings.field_size_m = None;
     let mut source = SceneSource::new(scene);
     // The constants come before the first image; they are all that must be known beforehand.
     let mut first: Vec<LogMessage> = Vec::new();

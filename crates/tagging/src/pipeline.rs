@@ -257,7 +257,9 @@ impl Pipeline {
             return warnings::possible_causes(settings.filter.budget_ms);
         };
         let given = DiagnosisInput { settings, topics, field: &field, perception, threads: self.recording.threads };
-        given.cause(unplaced).unwrap_or_else(|| "these are too few to find out why".to_owned())
+        given.cause(unplaced).unwrap_or_else(|| {
+            "these are too few to find out why, or the field is too large to try causes on it".to_owned()
+        })
     }
 
     fn end(&mut self) -> Result<(), AgentError> {

@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::log_scan::StreamInfo;
 use super::warnings::{self, AttitudeSource};
 use realitysim_config::{
-    ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_field, load_lens, load_lens_for_image,
+    ConfigError, LensFileError, Settings, Topics, lens_from_camera_info, load_lens, load_lens_for_image,
 };
 use realitysim_geometry::{Field, FieldDimensions, Lens, LensError, LensParameters};
 use realitysim_localization::observation;
@@ -276,7 +276,7 @@ fn lens_of(info: &CameraInfo, topics: &Topics) -> Result<LensParameters, SetupEr
 }
 
 fn field(settings: &Settings) -> Result<(Field, FieldDimensions), SetupError> {
-    let dimensions = load_field(&settings.field)?;
+    let dimensions = settings.field_dimensions()?;
     let field =
         Field::new(dimensions.clone()).map_err(|source| ConfigError::Field { file: settings.field.clone(), source })?;
     Ok((field, dimensions))

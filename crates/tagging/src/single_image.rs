@@ -1,6 +1,6 @@
 //! Locates a single image: lens, tilt and height of the camera are known, x, y and yaw on the field are searched.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use nalgebra::{Matrix6, Vector6};
 use serde::Serialize;
 
@@ -34,7 +34,7 @@ pub struct ImagePrior {
     pub body: Option<BodyMask>,
 }
 
-/// What an image shows of the ground, which is the same for every field.
+/// What an image shows of the ground, which is the same for every field whose lines are as wide.
 pub struct Look<'a> {
     picture: &'a Picture,
     vision: Vision,
@@ -77,8 +77,8 @@ pub struct ImageLocation {
     pub searched: bool,
 }
 
-/// How far the best pose may be trusted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+/// How far the best pose may be trusted, the most trusted first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FitQuality {
     /// The pose explains the lines, and no other pose does so nearly as well.
@@ -123,8 +123,6 @@ const TILT_SIGMA_RAD: f64 = 0.005;
 const TILT_STEP_RAD: f64 = 0.03;
 /// Range of the attitudes that are tried around the given one, standard deviations.
 const TILT_SIGMAS: f64 = 1.25;
-/// Width of the lines on every field that is played on.
-const LINE_WIDTH_M: f64 = 0.05;
 /// Number of points that stand for all lines of the field.
 const LINE_POINTS: usize = 700;
 /// Width of the band around the carpet in which poses are searched too.
@@ -145,6 +143,14 @@ const INITIAL: Spread = Spread { xy_m: 0.3, yaw_rad: 0.15 };
 const INITIAL_PARTICLES: usize = 2000;
 const INITIAL_ITERATIONS: usize = 8;
 
+/// Area in which poses on a field are searched, square metres: half of its carpet and a margin, as poses come in mirrored pairs.
+///
+/// The time that [`ImagePrior::locate`] takes without an initial pose grows with it.
+pub fn searched_m2(field: &Field) -> f64 {
+    let half = field.carpet_half_extent() + DVec2::splat(SEARCH_MARGIN_M);
+    2.0 * half.x * half.y
+}
+
 impl ImagePrior {
     /// Pose of `camera_link` in `base_footprint`, the point of the carpet below the camera with the camera's heading.
     ///
@@ -154,11 +160,11 @@ impl ImagePrior {
         Isometry::from_euler(tilt, DVec3::new(0.0, 0.0, self.height_m))
     }
 
-    /// Looks at a picture with the given attitude and, if that may be wrong, with others around it.
-    pub fn look<'a>(&self, picture: &'a Picture) -> Look<'a> {
+    /// Looks at a picture with the given attitude and, if that may be wrong, with others around it, for lines of this width.
+    pub fn look<'a>(&self, picture: &'a Picture, line_width_m: f64) -> Look<'a> {
         let settings = VisionSettings {
             reading: observation::reading(Model::Gauss, Formula::Corrected),
-            line_width_m: LINE_WIDTH_M,
+            line_width_m,
             range_m: 0.0,
             tilt_sigma_rad: TILT_SIGMA_RAD,
             nearest_reach_m: 0.25,
@@ -173,7 +179,7 @@ impl ImagePrior {
         Look { picture, views: views.collect(), vision: vision.clone() }
     }
 
-    /// Finds the poses on a field that explain what the image shows. `seed` is for the particles around an initial pose.
+    /// Finds the poses on a field that explain what the image shows. `look` is of lines as wide as the field's, `seed` is for the particles around an initial pose.
     pub fn locate(&self, look: &Look, field: &Field, seed: u64) -> ImageLocation {
         let alpha = default_alpha(Formula::Corrected);
         let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);

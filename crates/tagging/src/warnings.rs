@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::filter_stats::FilterStats;
 use super::report::Quantiles;
 use realitysim_config::FrameNames;
+use realitysim_geometry::FieldDimensions;
 use realitysim_geometry::physical::MAX_MAGNITUDE;
 use realitysim_localization::{LensOff, Rejection};
 use realitysim_log_input::attitude_filter::MADE_TILT_SIGMA_RAD;
@@ -40,6 +41,27 @@ pub fn is_unplaced(reason: &str) -> bool {
 /// Number of tags with this rejection.
 fn count(invalid: &BTreeMap<String, u64>, rejection: Rejection) -> u64 {
     invalid.get(rejection.as_str()).copied().unwrap_or(0)
+}
+
+/// Warns that the field was assumed, because nobody named one: its lines decide every pose.
+///
+/// `recorded_on` is the field on which the capture that is replayed was recorded, and its name, if that is another.
+pub fn assumed_field(
+    field: &str,
+    dimensions: &FieldDimensions,
+    recorded_on: Option<(&str, &FieldDimensions)>,
+) -> String {
+    let FieldDimensions { length_m, width_m, .. } = dimensions;
+    let choose = match recorded_on {
+        Some((other, FieldDimensions { length_m, width_m, .. })) => format!(
+            "the capture was recorded on {other} of {length_m} x {width_m} m: choose it with --field {other}, and with \
+             --field-size if the size was measured"
+        ),
+        None => {
+            "choose yours with --field NAME or `field` in the config (config/fields has the shipped ones)".to_owned()
+        }
+    };
+    format!("no field was named, and {field} is assumed, which is {length_m} x {width_m} m: {choose}")
 }
 
 /// Warns if most frames show lines that fit nowhere on the field, or if no tag is valid and most frames could not be placed.

@@ -17,7 +17,8 @@ use serde::{Deserialize, Serialize};
 
 use super::source::read;
 use super::wording::in_words;
-use super::{ConfigError, field_seen_from, lens_seen_from};
+use super::{ConfigError, check_field_size, field_seen_from, lens_seen_from, load_field_of_size};
+use realitysim_geometry::FieldDimensions;
 use realitysim_localization::MotionModel;
 
 pub use camera::{BodyMaskFile, CameraSettings};
@@ -36,6 +37,10 @@ pub struct Settings {
     pub robot: String,
     /// Name of a shipped field (`config/fields`), or path of a field file.
     pub field: String,
+    /// Length and width of the field between the centres of its lines, metres, where they were measured and differ from
+    /// those of `field`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub field_size_m: Option<[f64; 2]>,
     /// Topics of the measurements.
     pub topics: Topics,
     /// Names of the coordinate frames.
@@ -86,12 +91,27 @@ impl Settings {
         Ok(settings)
     }
 
+    /// Loads the field: `field`, with touchlines and goal lines at `field_size_m` if that is given.
+    pub fn field_dimensions(&self) -> Result<FieldDimensions, ConfigError> {
+        load_field_of_size(&self.field, self.field_size_m)
+    }
+
+    /// Whether the text of a config file names a field. Text that is no TOML names none.
+    ///
+    /// The default field is a guess, and only its user knows whether it is right.
+    pub fn names_field(text: &str) -> bool {
+        toml::from_str::<toml::Table>(text).is_ok_and(|table| table.contains_key("field"))
+    }
+
     /// Checks every value that has a range.
     ///
     /// # Errors
     ///
     /// The message names the first key that is out of its range, and the range.
     pub fn check(&self) -> Result<(), String> {
+        if let Some(size_m) = self.field_size_m {
+            check_field_size(size_m).map_err(|error| format!("field_size_m is {error}"))?;
+        }
         self.filter.check()?;
         motion::check(&self.motion)?;
         self.camera.check()?;
@@ -122,6 +142,7 @@ impl Default for Settings {
         Self {
             robot: "robot".into(),
             field: "kid-2009".into(),
+            field_size_m: None,
             topics: Topics::default(),
             frames: FrameNames::default(),
             camera: CameraSettings::default(),

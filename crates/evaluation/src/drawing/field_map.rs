@@ -4,7 +4,7 @@ use glam::DVec2;
 use image::RgbImage;
 
 use super::canvas::{Canvas, Ink, Pen};
-use super::paint::{Patch, patches};
+use super::paint::{Edge, Patch, patches};
 use super::plot::{Plot, TEXT};
 use super::routes::{self, START_RADIUS, draw_end, draw_sample, draw_start};
 use super::{Route, RouteStyle, text};
@@ -24,6 +24,8 @@ const LINE_HEIGHT: f64 = 1.45;
 const SAMPLE_LENGTH: f64 = 2.0;
 /// Space between legend and caption, in the same units.
 const GAP: f64 = 0.5;
+/// Straight pieces of a quarter circle: each of them is off by less than a thousandth of the radius.
+const QUARTER_PIECES: u32 = 24;
 /// Largest number of lines of legend and of caption.
 const MAX_LINES: usize = 40;
 
@@ -80,6 +82,11 @@ fn draw_field(canvas: &mut Canvas, plot: &Plot, field: &Field) {
             }
             Patch::Ring { centre, radius, half_width } => {
                 canvas.stroke_circle(plot.pixel(centre), radius * scale, paint(half_width));
+            }
+            Patch::Quarter { centre, side, radius, half_width } => {
+                let edge = Edge::Quarter { centre, side, radius };
+                let points = (0..=QUARTER_PIECES).map(|piece| f64::from(piece) / f64::from(QUARTER_PIECES));
+                canvas.stroke(&[points.map(|t| plot.pixel(edge.at(t))).collect()], paint(half_width));
             }
         }
     }

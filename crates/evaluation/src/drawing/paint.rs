@@ -1,6 +1,6 @@
 //! The paint of the field as areas with outlines: painted lines have a width, square ends and full corners.
 
-use core::f64::consts::TAU;
+use core::f64::consts::{FRAC_PI_2, TAU};
 
 use glam::DVec2;
 
@@ -10,8 +10,23 @@ use realitysim_geometry::field::Stroke;
 /// The area of one painted line, metres in `map`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Patch {
-    Bar { from: DVec2, to: DVec2, half_width: f64 },
-    Ring { centre: DVec2, radius: f64, half_width: f64 },
+    Bar {
+        from: DVec2,
+        to: DVec2,
+        half_width: f64,
+    },
+    Ring {
+        centre: DVec2,
+        radius: f64,
+        half_width: f64,
+    },
+    /// A quarter of a ring, where x and y have the signs of `side` from the centre.
+    Quarter {
+        centre: DVec2,
+        side: DVec2,
+        radius: f64,
+        half_width: f64,
+    },
 }
 
 /// An edge of a patch, as a curve from t = 0 to t = 1.
@@ -19,6 +34,7 @@ pub(super) enum Patch {
 pub(super) enum Edge {
     Straight { from: DVec2, to: DVec2 },
     Round { centre: DVec2, radius: f64 },
+    Quarter { centre: DVec2, side: DVec2, radius: f64 },
 }
 
 /// Distance from the border of a patch within which a point counts as on it, metres: coinciding borders of two patches
@@ -31,6 +47,7 @@ pub(super) fn patches(field: &Field) -> Vec<Patch> {
     let patch = |stroke| match stroke {
         Stroke::Segment { from, to } => Patch::Bar { from, to, half_width },
         Stroke::Circle { centre, radius } => Patch::Ring { centre, radius, half_width },
+        Stroke::Quarter { centre, radius, side } => Patch::Quarter { centre, side, radius, half_width },
     };
     field.painted_strokes().into_iter().map(patch).collect()
 }
@@ -48,6 +65,12 @@ impl Patch {
                 .filter(|radius| *radius > 0.0)
                 .map(|radius| Edge::Round { centre, radius })
                 .collect(),
+            // The ends lie within the lines that the quarter meets.
+            Patch::Quarter { centre, side, radius, half_width } => [radius - half_width, radius + half_width]
+                .into_iter()
+                .filter(|radius| *radius > 0.0)
+                .map(|radius| Edge::Quarter { centre, side, radius })
+                .collect(),
         }
     }
 
@@ -63,6 +86,10 @@ impl Patch {
             Patch::Ring { centre, radius, half_width } => {
                 (point.distance(centre) - radius).abs() < half_width - ON_BORDER_M
             }
+            Patch::Quarter { centre, side, radius, half_width } => {
+                let off = (point - centre) * side;
+                off.min_element() > ON_BORDER_M && (off.length() - radius).abs() < half_width - ON_BORDER_M
+            }
         }
     }
 }
@@ -75,6 +102,10 @@ impl Edge {
                 let (sin, cos) = libm::sincos(TAU * t);
                 centre + DVec2::new(cos, sin) * radius
             }
+            Edge::Quarter { centre, side, radius } => {
+                let (sin, cos) = libm::sincos(FRAC_PI_2 * t);
+                centre + DVec2::new(cos, sin) * side * radius
+            }
         }
     }
 
@@ -82,6 +113,7 @@ impl Edge {
         match *self {
             Edge::Straight { from, to } => from.distance(to),
             Edge::Round { radius, .. } => TAU * radius,
+            Edge::Quarter { radius, .. } => FRAC_PI_2 * radius,
         }
     }
 }

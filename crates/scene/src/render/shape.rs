@@ -13,6 +13,8 @@ pub(super) enum Shape {
     Bar { centre: [f32; 2], along: [f32; 2], half_length: f32, half_width: f32 },
     /// A circle.
     Ring { centre: [f32; 2], radius: f32, half_width: f32 },
+    /// A quarter of a circle, where x and y have the signs of `side` from the centre.
+    Quarter { centre: [f32; 2], side: [f32; 2], radius: f32, half_width: f32 },
 }
 
 impl Shape {
@@ -29,6 +31,12 @@ impl Shape {
             Stroke::Circle { centre, radius } => {
                 Shape::Ring { centre: centre.as_vec2().to_array(), radius: radius as f32, half_width }
             }
+            Stroke::Quarter { centre, radius, side } => Shape::Quarter {
+                centre: centre.as_vec2().to_array(),
+                side: side.as_vec2().to_array(),
+                radius: radius as f32,
+                half_width,
+            },
         };
         field.painted_strokes().into_iter().map(shape).collect()
     }
@@ -46,6 +54,11 @@ impl Shape {
             Shape::Ring { centre: own, radius, half_width } => {
                 let from_centre = libm::hypotf(centre[0] - own[0], centre[1] - own[1]);
                 (from_centre - radius).abs() <= half_width + reach
+            }
+            Shape::Quarter { centre: own, side, radius, half_width } => {
+                let (x, y) = ((centre[0] - own[0]) * side[0], (centre[1] - own[1]) * side[1]);
+                let is_on_side = x >= -reach && y >= -reach;
+                is_on_side && (libm::hypotf(x, y) - radius).abs() <= half_width + reach
             }
         }
     }
@@ -70,18 +83,36 @@ impl Shape {
                     across * band(p, t, along[0], along[1], half_length)
                 }
             }
-            Shape::Ring { centre, radius, half_width } => {
-                let (x, y) = (p.x - centre[0], p.y - centre[1]);
-                let from_centre = (x * x + y * y).sqrt();
-                let s = from_centre - radius;
-                if s.abs() > half_width + reach {
+            Shape::Ring { centre, radius, half_width } => around(p, centre, radius, half_width),
+            Shape::Quarter { centre, side, radius, half_width } => {
+                let (x, y) = ((p.x - centre[0]) * side[0], (p.y - centre[1]) * side[1]);
+                if x < -reach || y < -reach {
                     return 0.0;
                 }
-                let scale = 1.0 / from_centre.max(1e-6);
-                band(p, s, x * scale, y * scale, half_width)
+                let ring = around(p, centre, radius, half_width);
+                // Far from both ends the ring has no end.
+                if x > reach && y > reach {
+                    return ring;
+                }
+                let (in_x, _) = p.pixels_to(x, side[0], 0.0);
+                let (in_y, _) = p.pixels_to(y, 0.0, side[1]);
+                ring * tent_integral(in_x) * tent_integral(in_y)
             }
         }
     }
+}
+
+/// Share of the pixel that a ring covers, 0 to 1.
+#[inline]
+fn around(p: &GroundPoint, centre: [f32; 2], radius: f32, half_width: f32) -> f32 {
+    let (x, y) = (p.x - centre[0], p.y - centre[1]);
+    let from_centre = (x * x + y * y).sqrt();
+    let s = from_centre - radius;
+    if s.abs() > half_width + p.reach {
+        return 0.0;
+    }
+    let scale = 1.0 / from_centre.max(1e-6);
+    band(p, s, x * scale, y * scale, half_width)
 }
 
 /// Share of a pixel at signed distance `s` that lies between -`half` and +`half`. The distance grows along (nx, ny).

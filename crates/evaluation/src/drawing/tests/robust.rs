@@ -56,6 +56,7 @@ fn every_field_has_a_map() {
         line_width_m,
         border_strip_m: 0.0,
         centre_circle_diameter_m: 0.0,
+        corner_arc_radius_m: None,
         goal_area: None,
         penalty_mark_from_goal_line_m: None,
         goal: None,
