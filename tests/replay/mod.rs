@@ -21,6 +21,7 @@ mod falsify;
 mod figures;
 mod hard;
 mod hostile_database;
+mod import;
 mod independent;
 mod interrupted;
 mod losses;

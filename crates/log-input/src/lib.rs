@@ -34,6 +34,7 @@ pub mod log;
 pub mod measurement;
 pub mod scene_source;
 pub mod synchroniser;
+pub mod tables;
 pub mod topic_resolution;
 pub mod transforms;
 
