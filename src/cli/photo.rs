@@ -129,7 +129,7 @@ impl PhotoArguments {
         let bytes = plain_file::read(image, decode::MAX_IMAGE_FILE_BYTES).map_err(|error| cannot_read(image, error))?;
         let picture = decode::compressed(&bytes).with_context(|| image.display().to_string())?;
         let (width, height) = (picture.width as u32, picture.height as u32);
-        let lens = load_lens_for_image(beside.lens, width, height)?;
+        let lens = load_lens_for_image(beside.lens, width, height).with_context(|| image.display().to_string())?;
         let stated = lens.visual_mesh_pose.map(|pose| pose.world_from_camera_link);
         let attitude = self.attitude.or(stated.map(|pose| pose.euler()));
         let height_m = self.height_above_carpet(beside.lens, stated.map(|pose| pose.translation.z))?;

@@ -33,8 +33,8 @@ pub mod wording;
 pub use error::{ConfigError, LensFileError};
 pub use fields::{field_file, field_names, field_seen_from, load_field, parse_field};
 pub use lenses::{
-    LensFile, LensFormat, LensWanted, VisualMeshPose, camera_calibration_yaml, lens_file, lens_from_camera_info, lens_names, lens_seen_from,
-    load_lens, load_lens_for_image, parse_lens,
+    LensFile, LensFormat, LensWanted, VisualMeshPose, camera_calibration_yaml, lens_file, lens_from_camera_info,
+    lens_names, lens_seen_from, load_lens, load_lens_for_image, parse_lens,
 };
 pub use settings::{
     BodyMaskFile, CameraSettings, CaptureSettings, FilterConfig, FrameNames, HeadSettings, MIN_BUDGET_MS, MotionSource,

@@ -163,7 +163,8 @@ fn add_source(
     field: Option<&FieldDimensions>,
     added: &mut Added,
 ) -> Result<(), DatabaseError> {
-    let Read { mut source, records: found, field: own, ambiguous, imprecise, assumed, losses, empty, lit, bodies } = read;
+    let Read { mut source, records: found, field: own, ambiguous, imprecise, assumed, losses, empty, lit, bodies } =
+        read;
     let at = source.path.clone();
     let path = || at.clone();
     let wanted = own.as_ref().or(field);

@@ -156,8 +156,11 @@ fn jpeg(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     picture.ok_or_else(|| bad_jpeg("its pixels do not fit its size"))
 }
 
+/// A decoder of a JPEG in memory.
+type JpegReader<'a> = JpegDecoder<ZCursor<&'a [u8]>>;
+
 /// A decoder that has read the headers of a JPEG, with width and height.
-fn jpeg_header(data: &[u8]) -> Result<(JpegDecoder<ZCursor<&[u8]>>, [usize; 2]), DecodeError> {
+fn jpeg_header(data: &[u8]) -> Result<(JpegReader<'_>, [usize; 2]), DecodeError> {
     let limits = DecoderOptions::default()
         .set_max_width(MAX_SIDE as usize)
         .set_max_height(MAX_SIDE as usize)

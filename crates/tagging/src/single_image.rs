@@ -254,12 +254,7 @@ impl ImagePrior {
     }
 
     /// The best pose in the plane with the given attitude and height alone; `None` if there is no line in view.
-    pub(crate) fn best_candidate(
-        &self,
-        picture: &Picture,
-        searcher: &mut FieldSearch,
-        seed: u64,
-    ) -> Option<Candidate> {
+    pub(crate) fn best_candidate(&self, picture: &Picture, searcher: &mut FieldSearch, seed: u64) -> Option<Candidate> {
         let look = self.look_once(picture);
         let candidates = self.candidates(&look.views.first()?.seen, searcher, seed);
         candidates.into_iter().max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))
@@ -504,7 +499,9 @@ mod tests {
 
     #[test]
     fn a_fit_needs_contrast_line_digits_and_no_rival() {
-        let fit = |found: &[PoseHypothesis], searched| ImageLocation { found: found.to_vec(), searched, mount_is_known: true }.fit();
+        let fit = |found: &[PoseHypothesis], searched| {
+            ImageLocation { found: found.to_vec(), searched, mount_is_known: true }.fit()
+        };
         let best = found(1.0, 1.0, 0.0, 9.0);
         assert_eq!(fit(&[], true), FitQuality::None);
         assert_eq!(fit(&[best], true), FitQuality::Good);

@@ -7,7 +7,9 @@
 use realitysim_geometry::{Euler, Field, Isometry, Lens, Pose2};
 use realitysim_vision::{BodyMask, Picture};
 
-use crate::single_image::{FieldSearch, ImageLocation, ImagePrior, MEASURED_HEIGHT_SIGMA_M, PoseHypothesis, without_mirrors};
+use crate::single_image::{
+    FieldSearch, ImageLocation, ImagePrior, MEASURED_HEIGHT_SIGMA_M, PoseHypothesis, without_mirrors,
+};
 
 /// What is known about a camera whose attitude or height is not.
 #[derive(Clone, Debug)]

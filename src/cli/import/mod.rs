@@ -201,7 +201,9 @@ fn read_tables(arguments: &ImportArguments, reader: &mut Reader) -> anyhow::Resu
     Ok(WalkTables {
         transforms,
         imu: reader.read(arguments.imu.as_deref(), |table| imu::read(table, angles))?.unwrap_or_default(),
-        odometry: reader.read(arguments.odometry.as_deref(), |table| odometry::read(table, angles))?.unwrap_or_default(),
+        odometry: reader
+            .read(arguments.odometry.as_deref(), |table| odometry::read(table, angles))?
+            .unwrap_or_default(),
         joints: reader.read(arguments.joints.as_deref(), |table| joints::read(table, angles))?.unwrap_or_default(),
     })
 }

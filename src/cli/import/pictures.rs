@@ -89,7 +89,8 @@ impl Source {
                 FrameStamps::Rate { first_ns, rate_hz }
             }
             (None, None) => {
-                let what = "say when its frames were taken with --stamps CSV (stamp, a row for each frame) or --rate HZ";
+                let what =
+                    "say when its frames were taken with --stamps CSV (stamp, a row for each frame) or --rate HZ";
                 return Err(UsageError(format!("{}: {what}", file.display())).into());
             }
         };
@@ -245,12 +246,12 @@ fn matched(
         anyhow::bail!("{table}: no row names a picture of {folder}, where the first is {first}");
     }
     if !missing.is_empty() {
-        lost.push(Loss::new(table, format!("{} rows have no picture: {}", missing.len(), shortened(&missing))));
+        Loss::new(table, format!("{} rows have no picture: {}", missing.len(), shortened(&missing))).join(lost);
     }
     let without: Vec<String> = names.iter().filter(|name| !seen.contains(*name)).cloned().collect();
     if !without.is_empty() {
         let what = format!("{} pictures have no stamp and are left out: {}", without.len(), shortened(&without));
-        lost.push(Loss::new(table, what));
+        Loss::new(table, what).join(lost);
     }
     Ok(found)
 }

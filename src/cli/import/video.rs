@@ -40,7 +40,19 @@ impl FrameReader {
         let mut command = Command::new("ffmpeg");
         command.args(["-nostdin", "-v", "error", "-protocol_whitelist", "file", "-noautorotate", "-i"]).arg(input);
         // Each frame once, as it is stored: no frame is repeated or left out to keep a rate.
-        command.args(["-map", "0:v:0", "-fps_mode", "passthrough", "-c:v", "mjpeg", "-q:v", "2", "-f", "image2pipe", "pipe:1"]);
+        command.args([
+            "-map",
+            "0:v:0",
+            "-fps_mode",
+            "passthrough",
+            "-c:v",
+            "mjpeg",
+            "-q:v",
+            "2",
+            "-f",
+            "image2pipe",
+            "pipe:1",
+        ]);
         let started = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
         let mut ffmpeg = started.map_err(|error| match error.kind() {
             ErrorKind::NotFound => anyhow::anyhow!(

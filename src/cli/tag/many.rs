@@ -150,7 +150,11 @@ fn known_of(arguments: &TagArguments, images: &[PathBuf]) -> anyhow::Result<Hash
     match without[..] {
         [] => {}
         [..] if without.len() == images.len() => {
-            anyhow::bail!("{shown}: no row names one of the {} images (the first is {})", images.len(), images[0].display())
+            anyhow::bail!(
+                "{shown}: no row names one of the {} images (the first is {})",
+                images.len(),
+                images[0].display()
+            )
         }
         [first, ..] => output::say(&format!(
             "{shown} lacks {} images, whose attitude and height are taken from the arguments or found: the first is {}",
@@ -170,7 +174,6 @@ fn tag_all(
 ) -> anyhow::Result<()> {
     let threads = thread::available_parallelism().map_or(1, usize::from).min(images.len().max(1));
     let next = AtomicUsize::new(0);
-    // A result holds its image: as many wait as there are threads.
     let (sender, results) = mpsc::sync_channel(threads);
     thread::scope(|scope| {
         for _ in 0..threads {
@@ -181,7 +184,9 @@ fn tag_all(
                 {
                     let facts = known_name(image).and_then(|name| known.get(name));
                     let (photo, initial) = with_facts(arguments, facts);
-                    if sender.send((index, tag(arguments, &photo, image, initial))).is_err() {
+                    // Results wait for those of earlier images, without their pictures.
+                    let tagged = tag(arguments, &photo, image, initial).map(|(_, tagged)| tagged);
+                    if sender.send((index, tagged)).is_err() {
                         return;
                     }
                 }
@@ -313,7 +318,9 @@ fn begin_poses(path: &Path, images: &[PathBuf]) -> anyhow::Result<paths::Pending
     let own = folder(path).and_then(Result::ok);
     if let Some(other) = images.iter().find(|image| folder(image).and_then(Result::ok) != own) {
         let what = "the poses of a database lie in the folder of their images";
-        return Err(UsageError(format!("--poses {}: {what}, and {} is elsewhere", path.display(), other.display())).into());
+        return Err(
+            UsageError(format!("--poses {}: {what}, and {} is elsewhere", path.display(), other.display())).into()
+        );
     }
     paths::PendingFile::create(path)
 }

@@ -162,9 +162,8 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
     }
 }
 
-/// An image with its best poses.
+/// The best poses of an image.
 struct Tagged {
-    picture: Picture,
     lens: Lens,
     field: Field,
     located: ImageLocation,
@@ -177,16 +176,14 @@ fn tag(
     photo: &PhotoArguments,
     image: &Path,
     initial: Option<Pose2>,
-) -> anyhow::Result<Tagged> {
+) -> anyhow::Result<(Picture, Tagged)> {
     let beside = OtherInputs { lens: &arguments.lens, body_mask: arguments.body_mask.as_deref(), initial };
     let (picture, camera) = photo.open_any(image, &beside)?;
     let fields = fields(arguments, initial)?;
     let mut results = camera.locate(&picture, &fields, arguments.seed);
     let score = |located: &ImageLocation| located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
     results.sort_by(|a, b| score(&b.2).total_cmp(&score(&a.2)));
-    let Some((name, field, located)) = results.first() else {
-        anyhow::bail!("{}: no field to try", image.display())
-    };
+    let Some((name, field, located)) = results.first() else { anyhow::bail!("{}: no field to try", image.display()) };
     let best = located.found.first();
     let tilt = best.map(|best| best.map_from_link.euler());
     let sigmas = best.and_then(|best| best.sigmas);
@@ -211,12 +208,14 @@ fn tag(
             .collect(),
     };
     let (field, located) = ((*field).clone(), located.clone());
-    Ok(Tagged { picture, lens: camera.lens().clone(), field, located, report })
+    let lens = camera.lens().clone();
+    Ok((picture, Tagged { lens, field, located, report }))
 }
 
 fn run_one(arguments: &TagArguments, image: &Path, json: bool) -> anyhow::Result<Outcome> {
     let shown = || image.display().to_string();
-    let Tagged { picture, lens, field, located, report } = tag(arguments, &arguments.photo, image, arguments.initial)?;
+    let (picture, tagged) = tag(arguments, &arguments.photo, image, arguments.initial)?;
+    let Tagged { lens, field, located, report } = tagged;
     let best = located.found.first();
     if let (Some(path), Some(best)) = (&arguments.overlay, best) {
         let rgb = photo::rgb(&picture).with_context(shown)?;

@@ -2,10 +2,10 @@
 
 use glam::{DQuat, DVec3};
 
+use super::Measured;
 use super::stamp::{InOrder, StampColumn};
 use super::table::{Table, TableError};
 use super::units::{AngleUnit, Quantity};
-use super::Measured;
 use realitysim_geometry::Euler;
 
 /// A sample of the inertial measurement unit, about the axes of `base_link` (REP 103: x forward, y left, z up).
@@ -21,8 +21,6 @@ pub struct ImuSample {
     pub acceleration: Option<DVec3>,
 }
 
-/// How far the length of a quaternion may be from 1: rounded to two decimals it still is nearer.
-const MAX_LENGTH_ERROR: f64 = 0.02;
 /// Largest roll and pitch, radians: beyond it degrees were written as radians.
 const MAX_ANGLE_RAD: f64 = 2.0 * core::f64::consts::PI + 0.01;
 /// Mean acceleration of a robot on the ground, metres per second squared. Outside of it the unit is another, or gravity was
@@ -43,7 +41,8 @@ pub fn read(table: &mut Table, angles: Option<AngleUnit>) -> Result<Measured<Imu
     let mut assumed = Vec::new();
     match (quaternion, tilt, rates) {
         (None, None, None) => {
-            return Err(table.lacks("there is neither an attitude (roll_deg,pitch_deg or qx,qy,qz,qw) nor a turn rate (gx,gy,gz)"));
+            return Err(table
+                .lacks("there is neither an attitude (roll_deg,pitch_deg or qx,qy,qz,qw) nor a turn rate (gx,gy,gz)"));
         }
         (None, None, Some(_)) => assumed.push("no attitude: the torso is taken to stand upright".to_owned()),
         (Some(_), Some(_), _) => assumed.push("the quaternion counts, not roll and pitch".to_owned()),
@@ -55,25 +54,22 @@ pub fn read(table: &mut Table, angles: Option<AngleUnit>) -> Result<Measured<Imu
         let stamp_ns = stamps.read(&row)?;
         order.check(&row, stamp_ns)?;
         let orientation = match (quaternion, tilt) {
-            (Some(columns), _) => {
-                let q = DQuat::from_array(row.numbers(columns)?);
-                if (q.length() - 1.0).abs() > MAX_LENGTH_ERROR {
-                    return Err(row.error(format!("the quaternion has the length {:.3}, and a rotation has 1", q.length())));
-                }
-                Some(q.normalize())
-            }
+            (Some(columns), _) => Some(row.quaternion(columns)?),
             (None, Some(columns)) => {
                 let [roll, pitch] = row.numbers(columns)?;
                 let yaw = yaw.map_or(Ok(0.0), |column| row.number(column))?;
                 if roll.abs().max(pitch.abs()) > MAX_ANGLE_RAD {
                     let (roll, pitch) = (roll.to_degrees(), pitch.to_degrees());
-                    return Err(row.error(format!("roll {roll:.0} and pitch {pitch:.0} deg are no attitude: is the unit right?")));
+                    return Err(row.error(format!(
+                        "roll {roll:.0} and pitch {pitch:.0} deg are no attitude: is the unit right?"
+                    )));
                 }
                 Some(Euler { yaw, pitch, roll }.rotation())
             }
             (None, None) => None,
         };
-        let vector = |columns: Option<[_; 3]>| columns.map(|columns| row.numbers(columns).map(DVec3::from_array)).transpose();
+        let vector =
+            |columns: Option<[_; 3]>| columns.map(|columns| row.numbers(columns).map(DVec3::from_array)).transpose();
         let (turn_rate, acceleration) = (vector(rates)?, vector(accelerations)?);
         accelerations_sum += acceleration.map_or(0.0, DVec3::length);
         rows.push(ImuSample { stamp_ns, orientation, turn_rate, acceleration });

@@ -141,7 +141,8 @@ impl<'a> WalkMessages<'a> {
     fn message<M: Message>(&mut self, topic: &str, stamp_ns: i64, durability: Durability, message: &M) -> LogMessage {
         let next_id = self.channels.len() as u16 + 1;
         let channel = self.channels.entry(topic.to_owned());
-        let channel = channel.or_insert_with(|| Arc::new(Channel::of::<M>(next_id, topic, channel_metadata(durability))));
+        let channel =
+            channel.or_insert_with(|| Arc::new(Channel::of::<M>(next_id, topic, channel_metadata(durability))));
         let channel = Arc::clone(channel);
         LogMessage { channel, sequence: 0, log_time_ns: stamp_ns, publish_time_ns: stamp_ns, data: message.encode() }
     }

@@ -78,7 +78,9 @@ pub fn read(table: &mut Table, angles: Option<AngleUnit>) -> Result<Measured<Odo
     }
     assumed.push("velocities are integrated, along an arc with the mean velocity between two rows".to_owned());
     if long_steps > 0 {
-        assumed.push(format!("{long_steps} times more than 0.5 s lie between two velocities: the walk between them is not known"));
+        assumed.push(format!(
+            "{long_steps} times more than 0.5 s lie between two velocities: the walk between them is not known"
+        ));
     }
     finish(table, rows, stamps, assumed)
 }
@@ -162,7 +164,10 @@ mod tests {
             ("0.0,1,2,3\n", &["a head that names the columns is needed"]),
         ] {
             let error = samples(text).expect_err(text).to_string();
-            assert!(error.starts_with("odometry.csv: ") && words.iter().all(|word| error.contains(word)), "{text}: {error}");
+            assert!(
+                error.starts_with("odometry.csv: ") && words.iter().all(|word| error.contains(word)),
+                "{text}: {error}"
+            );
         }
     }
 

@@ -4,9 +4,9 @@ use core::cmp::Ordering;
 use core::f64::consts::PI;
 use std::collections::HashMap;
 
+use super::Measured;
 use super::stamp::{Decimal, InOrder, StampColumn, StampUnit, TimeUnit, seconds};
 use super::table::{Table, TableError};
-use super::Measured;
 use super::units::{AngleUnit, Quantity};
 use realitysim_geometry::{Physical, Pose2};
 
@@ -88,9 +88,10 @@ pub fn by_names(names: &[String]) -> Result<Measured<StampedPicture>, String> {
 pub fn by_rate(names: &[String], first_ns: i64, rate_hz: f64) -> Vec<StampedPicture> {
     let mut names = names.to_vec();
     names.sort_by(|a, b| natural_order(a, b));
-    let stamped = names.into_iter().enumerate().map(|(index, name)| {
-        StampedPicture { name, stamp_ns: at_rate(index, first_ns, rate_hz) }
-    });
+    let stamped = names
+        .into_iter()
+        .enumerate()
+        .map(|(index, name)| StampedPicture { name, stamp_ns: at_rate(index, first_ns, rate_hz) });
     stamped.collect()
 }
 
@@ -192,9 +193,12 @@ pub fn read_known(table: &mut Table, angles: Option<AngleUnit>) -> Result<Measur
         let tilt_rad = tilt.map(|columns| row.some_numbers(columns)).transpose()?.flatten();
         if let Some([roll, pitch]) = tilt_rad.filter(|[roll, pitch]| roll.abs() > PI || pitch.abs() > 0.5 * PI) {
             let (roll, pitch) = (roll.to_degrees(), pitch.to_degrees());
-            return Err(row.error(format!("roll {roll:.0} and pitch {pitch:.0} deg are no attitude: is the unit right?")));
+            return Err(
+                row.error(format!("roll {roll:.0} and pitch {pitch:.0} deg are no attitude: is the unit right?"))
+            );
         }
-        let height_m = height.map(|column| row.some_numbers([column])).transpose()?.flatten().map(|[height_m]| height_m);
+        let height_m =
+            height.map(|column| row.some_numbers([column])).transpose()?.flatten().map(|[height_m]| height_m);
         if let Some(height_m) = height_m.filter(|height_m| !HEIGHTS_M.contains(height_m)) {
             return Err(row.error(format!("the height is {height_m} m: it must be 0.01 to 100 m")));
         }
@@ -223,15 +227,18 @@ mod tests {
 
     #[test]
     fn names_are_sorted_by_the_numbers_in_them() {
-        let mut sorted = names(&["b1.png", "a10.png", "a2.png", "a2.jpg", "a02.png", "a.png", "A1.png", "a10b2.png", "a10b11.png"]);
+        let mut sorted =
+            names(&["b1.png", "a10.png", "a2.png", "a2.jpg", "a02.png", "a.png", "A1.png", "a10b2.png", "a10b11.png"]);
         sorted.sort_by(|a, b| natural_order(a, b));
-        let expected = ["A1.png", "a.png", "a2.jpg", "a02.png", "a2.png", "a10.png", "a10b2.png", "a10b11.png", "b1.png"];
+        let expected =
+            ["A1.png", "a.png", "a2.jpg", "a02.png", "a2.png", "a10.png", "a10b2.png", "a10b11.png", "b1.png"];
         assert_eq!(sorted, expected);
     }
 
     #[test]
     fn the_order_of_names_is_an_order() {
-        let all = ["", "1", "01", "a", "a1", "a01", "1a", "a1b", "a1b2", "10", "9", "99999999999999999999999", "é1", "a-1"];
+        let all =
+            ["", "1", "01", "a", "a1", "a01", "1a", "a1b", "a1b2", "10", "9", "99999999999999999999999", "é1", "a-1"];
         for a in all {
             for b in all {
                 assert_eq!(natural_order(a, b), natural_order(b, a).reverse(), "{a} {b}");

@@ -105,7 +105,8 @@ impl Decimal {
             return None;
         }
         let fraction = &fraction[..fraction.len().min(MAX_DIGITS - whole.len())];
-        let digits = whole.bytes().chain(fraction.bytes()).fold(0u128, |sum, digit| 10 * sum + u128::from(digit - b'0'));
+        let digits =
+            whole.bytes().chain(fraction.bytes()).fold(0u128, |sum, digit| 10 * sum + u128::from(digit - b'0'));
         let exponent = i32::from(exponent) - fraction.len() as i32;
         Some(Self { digits, exponent, has_point: mantissa.contains('.') })
     }

@@ -1,6 +1,7 @@
 //! A table with named columns: its head, its delimiter, and its cells as numbers.
 
 use csv::{ReaderBuilder, StringRecord, Trim};
+use glam::DQuat;
 use thiserror::Error;
 
 use super::units::{AngleUnit, Quantity};
@@ -12,8 +13,10 @@ pub const MAX_TABLE_BYTES: u64 = 256 << 20;
 pub(super) const MAX_TABLE_ROWS: usize = 4_000_000;
 /// Most columns of a table.
 const MAX_TABLE_COLUMNS: usize = 1000;
-/// Largest number of bytes of a cell that an error quotes.
-const MAX_QUOTED_BYTES: usize = 60;
+/// Most characters of a cell that an error quotes.
+const MAX_QUOTED_CHARACTERS: usize = 60;
+/// How far the length of a quaternion may be from 1: rounded to two decimals it still is nearer.
+const MAX_LENGTH_ERROR: f64 = 0.02;
 
 /// What is wrong with a table, with its file and line.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
@@ -153,7 +156,7 @@ impl<'t> Table<'t> {
     /// An error of this table that says which columns it has.
     pub(super) fn lacks(&self, what: &str) -> TableError {
         let found: Vec<&str> = self.columns.iter().map(|column| column.written.as_str()).collect();
-        let found: String = found.join(", ").chars().take(4 * MAX_QUOTED_BYTES).collect();
+        let found: String = found.join(", ").chars().take(4 * MAX_QUOTED_CHARACTERS).collect();
         self.error(None, format!("{what}; its columns are: {found}"))
     }
 
@@ -212,7 +215,8 @@ impl<'t> Table<'t> {
         match (<[NumberColumn; N]>::try_from(found), missing) {
             (Ok(columns), None) => Ok(Some(columns)),
             (Err(found), Some(name)) if !found.is_empty() => {
-                Err(self.lacks(&format!("the column {name} is missing beside {}", self.columns[found[0].index].written)))
+                Err(self
+                    .lacks(&format!("the column {name} is missing beside {}", self.columns[found[0].index].written)))
             }
             _ => Ok(None),
         }
@@ -272,12 +276,26 @@ impl Row<'_> {
         Ok(numbers)
     }
 
+    /// A quaternion of four cells (x, y, z, w) as a rotation. One that is not of length 1 is refused.
+    pub(super) fn quaternion(&self, columns: [NumberColumn; 4]) -> Result<DQuat, TableError> {
+        let q = DQuat::from_array(self.numbers(columns)?);
+        if (q.length() - 1.0).abs() > MAX_LENGTH_ERROR {
+            let what = format!("the quaternion has the length {:.3}, and a rotation has 1", q.length());
+            return Err(self.error(what));
+        }
+        Ok(q.normalize())
+    }
+
     /// The cells of several columns as numbers in SI units; `None` if all of them are empty.
     pub(super) fn some_numbers<const N: usize>(
         &self,
         columns: [NumberColumn; N],
     ) -> Result<Option<[f64; N]>, TableError> {
-        if columns.iter().all(|column| self.text(column.index).is_empty()) { Ok(None) } else { self.numbers(columns).map(Some) }
+        if columns.iter().all(|column| self.text(column.index).is_empty()) {
+            Ok(None)
+        } else {
+            self.numbers(columns).map(Some)
+        }
     }
 
     /// An error about a cell: its column, its text, and what is wrong with it.
@@ -321,6 +339,6 @@ fn plain_name(written: &str) -> String {
 
 /// A text between quotes, without control characters and not longer than a line.
 fn quoted(text: &str) -> String {
-    let short: String = text.chars().take(MAX_QUOTED_BYTES).collect();
+    let short: String = text.chars().take(MAX_QUOTED_CHARACTERS).collect();
     if short.len() < text.len() { format!("{short:?}…") } else { format!("{short:?}") }
 }

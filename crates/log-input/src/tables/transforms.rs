@@ -22,8 +22,6 @@ pub struct TransformSample {
     pub parent_from_child: Isometry,
 }
 
-/// How far the length of a quaternion may be from 1.
-const MAX_LENGTH_ERROR: f64 = 0.02;
 /// Largest number of characters in the name of a coordinate frame.
 const MAX_NAME_CHARACTERS: usize = 100;
 
@@ -42,11 +40,7 @@ pub fn read(table: &mut Table, angles: Option<AngleUnit>) -> Result<Measured<Tra
     }
     let rotation = |row: &Row| -> Result<DQuat, TableError> {
         if let Some(columns) = quaternion {
-            let q = DQuat::from_array(row.numbers(columns)?);
-            if (q.length() - 1.0).abs() > MAX_LENGTH_ERROR {
-                return Err(row.error(format!("the quaternion has the length {:.3}, and a rotation has 1", q.length())));
-            }
-            return Ok(q.normalize());
+            return row.quaternion(columns);
         }
         let [roll, pitch, yaw] = euler.map_or(Ok([0.0; 3]), |columns| row.numbers(columns))?;
         Ok(Euler { yaw, pitch, roll }.rotation())
@@ -67,11 +61,18 @@ pub fn read(table: &mut Table, angles: Option<AngleUnit>) -> Result<Measured<Tra
             return Err(row.error(format!("it leads {:.0} m away: is the unit right?", translation.length())));
         }
         if let Some(line) = newest.get(&child).filter(|(last_ns, _)| stamp_ns <= *last_ns).map(|(_, line)| line) {
-            let what = format!("the transform to {child} is not later than that of line {line}: each needs a stamp of its own");
+            let what = format!(
+                "the transform to {child} is not later than that of line {line}: each needs a stamp of its own"
+            );
             return Err(row.error(what));
         }
         newest.insert(child.clone(), (stamp_ns, row.line));
-        rows.push(TransformSample { stamp_ns, parent, child, parent_from_child: Isometry::new(rotation(&row)?, translation) });
+        rows.push(TransformSample {
+            stamp_ns,
+            parent,
+            child,
+            parent_from_child: Isometry::new(rotation(&row)?, translation),
+        });
     }
     if rows.is_empty() {
         return Err(table.error(None, "there is no row behind the head".to_owned()));
