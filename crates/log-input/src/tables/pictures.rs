@@ -136,25 +136,25 @@ fn time_in(name: &str) -> Option<(i64, TimeUnit)> {
 /// Compares names as people sort them: digits by the number that they make.
 pub fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut rest_a, mut rest_b) = (a, b);
-    while !(rest_a.is_empty() || rest_b.is_empty()) {
-        let ((text_a, number_a, behind_a), (text_b, number_b, behind_b)) = (next_part(rest_a), next_part(rest_b));
-        let (one, other) = (number_a.trim_start_matches('0'), number_b.trim_start_matches('0'));
-        let order = text_a.cmp(text_b).then_with(|| one.len().cmp(&other.len())).then_with(|| one.cmp(other));
+    while let (Some(one), Some(other)) = (rest_a.chars().next(), rest_b.chars().next()) {
+        let (order, lengths) = if one.is_ascii_digit() && other.is_ascii_digit() {
+            let numbers = [rest_a, rest_b].map(|rest| &rest[..digits(rest)]);
+            let [one, other] = numbers.map(|number| number.trim_start_matches('0'));
+            (one.len().cmp(&other.len()).then_with(|| one.cmp(other)), numbers.map(str::len))
+        } else {
+            (one.cmp(&other), [one.len_utf8(), other.len_utf8()])
+        };
         if order.is_ne() {
             return order;
         }
-        (rest_a, rest_b) = (behind_a, behind_b);
+        (rest_a, rest_b) = (&rest_a[lengths[0]..], &rest_b[lengths[1]..]);
     }
     rest_a.cmp(rest_b).then_with(|| a.cmp(b))
 }
 
-/// The text up to the next digits, these digits, and what follows.
-fn next_part(text: &str) -> (&str, &str, &str) {
-    let digits = text.find(|c: char| c.is_ascii_digit()).unwrap_or(text.len());
-    let (before, rest) = text.split_at(digits);
-    let end = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
-    let (number, behind) = rest.split_at(end);
-    (before, number, behind)
+/// Number of digits that a text begins with.
+fn digits(text: &str) -> usize {
+    text.bytes().take_while(u8::is_ascii_digit).count()
 }
 
 /// What is known about the camera of one picture.

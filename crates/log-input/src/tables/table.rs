@@ -100,7 +100,7 @@ impl<'t> Table<'t> {
             .iter()
             .map(|name| Column { written: name.to_owned(), name: plain_name(name), taken: false })
             .collect();
-        if columns.iter().all(|column| column.name.parse::<f64>().is_ok() || column.name.is_empty()) {
+        if columns.iter().all(|column| column.written.parse::<f64>().is_ok() || column.name.is_empty()) {
             let what = format!("it begins with numbers ({}): a head that names the columns is needed", quoted(head));
             return Err(error(Some(lines_before), what));
         }
@@ -131,9 +131,10 @@ impl<'t> Table<'t> {
     pub fn rows(&self) -> impl Iterator<Item = Result<Row<'_>, TableError>> {
         let records = reader(self.body, self.delimiter).into_records();
         let records = records.filter(|record| !record.as_ref().is_ok_and(is_empty));
-        records.enumerate().map(|(index, record)| {
+        let mut counted = LineCount { body: self.body.as_bytes(), at: 0, line: self.lines_before + 1 };
+        records.enumerate().map(move |(index, record)| {
             let cells = record.map_err(|error| self.error(None, error.to_string()))?;
-            let line = cells.position().map_or(0, csv::Position::line) + self.lines_before;
+            let line = counted.line_of(cells.position().map_or(0, |position| position.byte() as usize));
             if index >= MAX_TABLE_ROWS {
                 return Err(self.error(Some(line), format!("more than {MAX_TABLE_ROWS} rows: split the walk")));
             }
@@ -310,6 +311,33 @@ impl Row<'_> {
     }
 }
 
+/// Counts the lines up to a record. The reader itself gives the line where it began to look, before lines that it left out.
+struct LineCount<'a> {
+    body: &'a [u8],
+    /// Up to here newlines are counted.
+    at: usize,
+    /// Number of the line there, from 1.
+    line: u64,
+}
+
+impl LineCount<'_> {
+    /// The line of the record that the reader began to look for at a byte, not before that of the call before.
+    fn line_of(&mut self, began: usize) -> u64 {
+        let mut start = began.clamp(self.at, self.body.len());
+        loop {
+            let left_out = match self.body[start..] {
+                [b'\n' | b'\r', ..] => 1,
+                [b'#', ref rest @ ..] => 1 + rest.iter().take_while(|byte| **byte != b'\n').count(),
+                _ => break,
+            };
+            start += left_out;
+        }
+        self.line += self.body[self.at..start].iter().filter(|byte| **byte == b'\n').count() as u64;
+        self.at = start;
+        self.line
+    }
+}
+
 fn reader(text: &str, delimiter: u8) -> csv::Reader<&[u8]> {
     ReaderBuilder::new()
         .has_headers(false)
@@ -341,4 +369,50 @@ fn plain_name(written: &str) -> String {
 fn quoted(text: &str) -> String {
     let short: String = text.chars().take(MAX_QUOTED_CHARACTERS).collect();
     if short.len() < text.len() { format!("{short:?}…") } else { format!("{short:?}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        /// The oracle looks for the row's own text in the lines of the file.
+        #[test]
+        fn a_row_knows_its_line(parts in prop::collection::vec(0..5usize, 0..30), crlf: bool) {
+            let ending = if crlf { "\r\n" } else { "\n" };
+            let mut text = format!("# a,b{ending}");
+            let mut number = 0;
+            for part in parts {
+                let line = match part {
+                    0 => String::new(),
+                    1 => "# a comment, with a comma".to_owned(),
+                    2 => "  ".to_owned(),
+                    3 => { number += 1; format!("\"row{number}\",1") }
+                    _ => { number += 1; format!("row{number},1") }
+                };
+                text += &line;
+                text += ending;
+            }
+            let table = Table::parse(&text, "file").expect("a head");
+            let rows: Vec<Row> = table.rows().collect::<Result<_, _>>().expect("rows");
+            prop_assert_eq!(rows.len(), number);
+            for row in rows {
+                let name = row.text(0);
+                let is_own = |line: &str| line.split(',').next().is_some_and(|cell| cell.trim_matches('"') == name);
+                let expected = text.lines().position(is_own).expect("in the text") as u64 + 1;
+                prop_assert_eq!(row.line, expected, "{}: {}", name, text);
+            }
+        }
+
+        #[test]
+        fn no_text_makes_a_table_panic(text in "[a-z0-9,;\t\n\r\"#. \u{e9}\u{feff}]{0,200}") {
+            if let Ok(table) = Table::parse(&text, "file") {
+                for row in table.rows().map_while(Result::ok) {
+                    prop_assert!(row.line as usize <= text.lines().count() + 1);
+                }
+            }
+        }
+    }
 }
