@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 
 use glam::DQuat;
 use realitysim::geometry::{Euler, Isometry, Pose2};
@@ -143,6 +144,49 @@ fn a_camera_whose_pose_is_known_for_each_picture_needs_no_imu() {
     let valid = imported.tags.iter().filter(|tag| tag.valid).count();
     assert!(100 * valid >= 95 * imported.tags.len(), "{valid} of {} valid", imported.tags.len());
     assert!(errors_m(&imported.tags).into_iter().flatten().all(|error_m| error_m < 0.05));
+}
+
+/// A stand-in for ffmpeg, which gives the walk's pictures one after the other as ffmpeg does; with `more`.
+fn stand_in(room: &Room, more: &str) -> String {
+    let script = format!("#!/bin/sh\nfor i in $(seq 0 {}); do cat frames/$i.jpg; done\n{more}\n", walk().frames() - 1);
+    fs::create_dir_all(room.path("bin")).unwrap();
+    room.write("bin/ffmpeg", script);
+    fs::set_permissions(room.path("bin/ffmpeg"), fs::Permissions::from_mode(0o755)).unwrap();
+    format!("{}:{}", room.path("bin").display(), std::env::var("PATH").unwrap())
+}
+
+#[test]
+fn a_video_with_a_row_for_each_frame_is_the_same_walk() {
+    let room = room();
+    room.write("clip.mp4", b"\0\0\0\x20ftypisom");
+    let rows = fs::read_to_string(room.path("stamps.csv")).unwrap();
+    let stamps: String = rows.lines().map(|line| format!("{}\n", line.split(',').next_back().unwrap())).collect();
+    room.write("times.csv", &stamps);
+    let own = format!("import clip.mp4 {TABLES} {MOUNT} -o clip.mcap");
+    let path = stand_in(&room, "");
+    room.run_with(&format!("{own} --stamps times.csv"), &[("PATH", &path)]).succeeds();
+    room.run(&format!("import frames --stamps stamps.csv {TABLES} {MOUNT} -o walk.mcap")).succeeds();
+    assert!(fs::read(room.path("clip.mcap")).unwrap() == fs::read(room.path("walk.mcap")).unwrap());
+    fs::remove_file(room.path("clip.mcap")).unwrap();
+    // More complaints than a pipe holds stop nobody, and are a loss.
+    let path = stand_in(&room, "seq 1 50000 >&2");
+    let run = room.run_with(&format!("{own} --rate 10 --json"), &[("PATH", &path)]).fails(3, &["ffmpeg says: 1"]);
+    assert_eq!(run.json()["pictures"], walk().frames());
+    fs::remove_file(room.path("clip.mcap")).unwrap();
+    room.write("times.csv", stamps.lines().take(9).collect::<Vec<_>>().join("\n"));
+    for (more, arguments, words) in [
+        ("", "--stamps times.csv", &["times.csv has 8 rows", "more frames"][..]),
+        ("echo no such codec >&2; exit 1", "--rate 10", &["ffmpeg failed: no such codec"]),
+        ("head -c 1000 frames/0.jpg", "--rate 10", &["clip.mp4", "a frame is cut short"]),
+        ("", "", &["--stamps", "--rate"]),
+    ] {
+        let path = stand_in(&room, more);
+        let code = if arguments.is_empty() { 2 } else { 1 };
+        room.run_with(&format!("{own} {arguments}"), &[("PATH", &path)]).fails(code, words);
+        assert!(!room.path("clip.mcap").exists(), "{words:?}");
+    }
+    let run = room.run_with(&format!("{own} --rate 10"), &[("PATH", "/nowhere")]);
+    run.fails(1, &["clip.mp4", "ffmpeg", "install it"]);
 }
 
 /// What is wrong is named, with what would be right, and nothing is left of the log.

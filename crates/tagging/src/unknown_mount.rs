@@ -39,15 +39,15 @@ const PITCHES_RAD: [f64; 2] = [-0.1, 1.1];
 /// Heights that are tried, metres: from the smallest humanoid to above the tallest (RoboCup Humanoid League rules: 0.4 to 2 m).
 const HEIGHTS_M: [f64; 2] = [0.25, 1.8];
 /// Step between pitches of the grid, radians.
-const PITCH_STEP_RAD: f64 = 0.07;
+const PITCH_STEP_RAD: f64 = 0.085;
 /// Ratio of two heights of the grid that follow each other.
-const HEIGHT_RATIO: f64 = 1.15;
-/// Steps around a mount in the finer rounds, as shares of the grid's: each round halves them.
-const ROUNDS: [f64; 2] = [0.5, 0.25];
-/// Changes of roll in the first finer round, radians; later rounds halve it. A robot on its feet leans little.
+const HEIGHT_RATIO: f64 = 1.2;
+/// Steps around a mount in the finer rounds, as shares of the grid's.
+const ROUNDS: [f64; 3] = [0.5, 0.5, 0.25];
+/// Step of roll in the first finer round, radians; later ones go with the other steps. A robot on its feet leans little.
 const ROLL_STEP_RAD: f64 = 0.05;
 /// Number of mounts that go on to the next round.
-const KEPT_MOUNTS: usize = 6;
+const KEPT_MOUNTS: usize = 5;
 /// Number of mounts whose poses are fitted to the lines.
 const FITTED_MOUNTS: usize = 8;
 /// Standard deviations of a mount of the last round, as the fit takes it.
@@ -113,18 +113,20 @@ impl UnknownMount {
             None => (2.0 * share * ROLL_STEP_RAD, share * PITCH_STEP_RAD),
         };
         let ratio = if self.height_m.is_some() { 1.0 } else { libm::pow(HEIGHT_RATIO, share) };
-        let mut mounts = Vec::new();
-        for height_m in [mount.height_m / ratio, mount.height_m, mount.height_m * ratio] {
-            for roll in [-roll_step, 0.0, roll_step] {
-                for pitch in [-pitch_step, 0.0, pitch_step] {
-                    let finer = Mount { roll: mount.roll + roll, pitch: mount.pitch + pitch, height_m };
-                    if !mounts.contains(&finer) {
-                        mounts.push(finer);
-                    }
-                }
-            }
-        }
-        mounts
+        // One after the other: all combinations would be four times as many, and rounds follow each other.
+        let changed = |roll: f64, pitch: f64, ratio: f64| Mount {
+            roll: mount.roll + roll,
+            pitch: mount.pitch + pitch,
+            height_m: mount.height_m * ratio,
+        };
+        vec![
+            changed(roll_step, 0.0, 1.0),
+            changed(-roll_step, 0.0, 1.0),
+            changed(0.0, pitch_step, 1.0),
+            changed(0.0, -pitch_step, 1.0),
+            changed(0.0, 0.0, ratio),
+            changed(0.0, 0.0, 1.0 / ratio),
+        ]
     }
 
     /// Adds a mount with the log likelihood of its best pose on the field.

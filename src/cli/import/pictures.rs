@@ -146,7 +146,8 @@ impl Source {
             Self::Video { file, frames, stamps, next, .. } => {
                 let index = *next;
                 *next += 1;
-                let Some(data) = frames.next_frame()? else {
+                let complain = &mut |what| losses.push(Loss::new(file, what));
+                let Some(data) = frames.next_frame(complain)? else {
                     if let FrameStamps::Table { file: table, stamps_ns } = stamps
                         && index != stamps_ns.len()
                     {

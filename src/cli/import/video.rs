@@ -3,7 +3,8 @@
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::Path;
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
+use std::thread::{self, JoinHandle};
 
 use anyhow::{Context, bail};
 
@@ -27,6 +28,8 @@ pub(super) struct FrameReader {
     ffmpeg: Child,
     /// `None` once it has ended.
     frames: Option<BufReader<ChildStdout>>,
+    /// Reads what ffmpeg complains of, since a full pipe would stop it.
+    complaint: Option<JoinHandle<String>>,
     video: String,
 }
 
@@ -63,35 +66,49 @@ impl FrameReader {
             _ => anyhow::Error::new(error).context("ffmpeg cannot be started"),
         })?;
         let frames = ffmpeg.stdout.take().map(|pipe| BufReader::with_capacity(1 << 16, pipe));
-        Ok(Self { ffmpeg, frames, video: video.display().to_string() })
+        let complaint = ffmpeg.stderr.take().map(|pipe| thread::spawn(move || start_of(pipe)));
+        Ok(Self { ffmpeg, frames, complaint, video: video.display().to_string() })
     }
 
-    /// The next frame as a JPEG; `None` at the end of the video.
-    pub(super) fn next_frame(&mut self) -> anyhow::Result<Option<Vec<u8>>> {
+    /// The next frame as a JPEG; `None` at the end of the video. What ffmpeg complained of by then goes to `complain`.
+    pub(super) fn next_frame(&mut self, complain: &mut dyn FnMut(String)) -> anyhow::Result<Option<Vec<u8>>> {
         let Some(frames) = &mut self.frames else { return Ok(None) };
-        match read_jpeg(frames).with_context(|| format!("{}: ffmpeg's frames cannot be read", self.video))? {
-            Some(frame) => Ok(Some(frame)),
-            None => {
+        match read_jpeg(frames) {
+            Ok(Some(frame)) => Ok(Some(frame)),
+            Ok(None) => {
+                self.frames = None;
+                let complaint = self.end()?;
+                if !complaint.is_empty() {
+                    complain(format!("ffmpeg says: {complaint}"));
+                }
+                Ok(None)
+            }
+            Err(error) => {
+                // If ffmpeg has failed, it says why.
                 self.frames = None;
                 self.end()?;
-                Ok(None)
+                Err(error.context(format!("{}: ffmpeg's frames cannot be read", self.video)))
             }
         }
     }
 
-    /// Waits for ffmpeg, which has closed its output, and passes on what it complained of.
-    fn end(&mut self) -> anyhow::Result<()> {
-        let mut complaint = Vec::new();
-        if let Some(pipe) = self.ffmpeg.stderr.take() {
-            pipe.take(MAX_COMPLAINT_BYTES).read_to_end(&mut complaint)?;
-        }
+    /// Waits for ffmpeg, whose output is closed, and returns what it complained of. If it failed that is the error.
+    fn end(&mut self) -> anyhow::Result<String> {
         let status = self.ffmpeg.wait()?;
+        let complaint = self.complaint.take().and_then(|reader| reader.join().ok()).unwrap_or_default();
         if !status.success() {
-            let complaint = String::from_utf8_lossy(&complaint);
-            bail!("{}: ffmpeg failed: {}", self.video, complaint.trim());
+            bail!("{}: ffmpeg failed: {complaint}", self.video);
         }
-        Ok(())
+        Ok(complaint)
     }
+}
+
+/// The start of what a pipe has. The rest is read and left out.
+fn start_of(mut pipe: ChildStderr) -> String {
+    let mut start = Vec::new();
+    let _ = pipe.by_ref().take(MAX_COMPLAINT_BYTES).read_to_end(&mut start);
+    let _ = std::io::copy(&mut pipe, &mut std::io::sink());
+    String::from_utf8_lossy(&start).trim().to_owned()
 }
 
 impl Drop for FrameReader {
