@@ -129,6 +129,9 @@ const BOTH_WAYS_LESS_PER_PX: f64 = 0.1;
 /// Difference in log likelihood by which the best pose must exceed every other.
 const CLEAR_BY: f64 = 2.0;
 
+/// Share of the best pose's merit from which another makes both mean nothing, where attitude and height were not known.
+const RIVAL_MERIT: f64 = 0.7;
+
 /// Poses closer than this, in metres and radians, are the same.
 const SAME_M: f64 = 0.4;
 const SAME_RAD: f64 = 0.3;
@@ -417,6 +420,9 @@ impl ImageLocation {
     /// The second best pose, if it explains the image nearly as well as the best one.
     pub fn rival(&self) -> Option<&PoseHypothesis> {
         let [best, next, ..] = &self.found[..] else { return None };
+        if !self.mount_is_known {
+            return (next.merit() > RIVAL_MERIT * best.merit()).then_some(next);
+        }
         (best.log_likelihood - next.log_likelihood < CLEAR_BY).then_some(next)
     }
 
@@ -438,6 +444,12 @@ impl PoseHypothesis {
     /// The pose projected onto the ground: x, y and yaw of `camera_link` in `map`.
     pub fn place(&self) -> Pose2 {
         Pose2::from_isometry(&self.map_from_link)
+    }
+
+    /// How much speaks for the pose, whatever attitude and height it has: digits against chance, less where lines are missing or
+    /// unexplained.
+    pub(crate) fn merit(&self) -> f64 {
+        self.lines.digits.max(0.0) * self.lines.share.min(self.lines.foremost) * self.explained
     }
 
     /// Whether the lines determine the pose, attitude and height included.

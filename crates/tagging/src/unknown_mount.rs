@@ -67,7 +67,7 @@ impl UnknownMount {
             self.try_mount(picture, &mut searcher, seed, mount, &mut tried);
         }
         for share in ROUNDS {
-            for (mount, _) in best_distinct(&tried, KEPT_MOUNTS) {
+            for mount in best_distinct(&tried, KEPT_MOUNTS) {
                 for finer in self.around(mount, share) {
                     if !tried.iter().any(|(known, _)| *known == finer) {
                         self.try_mount(picture, &mut searcher, seed, finer, &mut tried);
@@ -76,11 +76,14 @@ impl UnknownMount {
             }
         }
         let mut found: Vec<PoseHypothesis> = Vec::new();
-        for (mount, _) in best_distinct(&tried, FITTED_MOUNTS) {
+        for mount in best_distinct(&tried, FITTED_MOUNTS) {
             found.extend(self.fitted(picture, field, seed, mount));
         }
-        found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
-        let mut found = without_mirrors(found.into_iter().filter(|found| found.weight > 0.0));
+        // Log likelihoods of different heights are of different amounts of field in view: what chance explains is not.
+        let is_possible = |height_m: f64| self.height_m.is_some() || is_possible_height(height_m);
+        found.retain(|found| found.weight > 0.0 && is_possible(found.map_from_link.translation.z));
+        found.sort_by(|a, b| b.merit().total_cmp(&a.merit()));
+        let mut found = without_mirrors(found.into_iter());
         found.truncate(KEPT);
         ImageLocation { found, searched: self.initial.is_none(), mount_is_known: false }
     }
@@ -188,10 +191,27 @@ fn mount_of(map_from_link: &Isometry) -> Mount {
     Mount { roll, pitch, height_m: map_from_link.translation.z }
 }
 
-/// The best mounts, best first.
-fn best_distinct(tried: &[(Mount, f64)], count: usize) -> Vec<(Mount, f64)> {
-    let mut best = tried.to_vec();
-    best.sort_by(|a, b| b.1.total_cmp(&a.1));
-    best.truncate(count);
+/// Whether a fit has not left the range of heights by more than a step.
+fn is_possible_height(height_m: f64) -> bool {
+    (HEIGHTS_M[0] / HEIGHT_RATIO..=HEIGHTS_M[1] * HEIGHT_RATIO).contains(&height_m)
+}
+
+/// The best mounts, best first, of which no two are neighbours on the grid.
+fn best_distinct(tried: &[(Mount, f64)], count: usize) -> Vec<Mount> {
+    let mut ranked = tried.to_vec();
+    ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let are_near = |a: &Mount, b: &Mount| {
+        let ratio = libm::fabs(libm::log(a.height_m / b.height_m)) < libm::log(HEIGHT_RATIO);
+        ratio && libm::fabs(a.pitch - b.pitch) < PITCH_STEP_RAD && libm::fabs(a.roll - b.roll) < ROLL_STEP_RAD
+    };
+    let mut best: Vec<Mount> = Vec::new();
+    for (mount, _) in ranked {
+        if best.len() == count {
+            break;
+        }
+        if !best.iter().any(|known| are_near(known, &mount)) {
+            best.push(mount);
+        }
+    }
     best
 }
