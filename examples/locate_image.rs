@@ -7,7 +7,7 @@ use std::env::args;
 use realitysim_config::{load_field, load_lens};
 use realitysim_geometry::{Euler, Field};
 use realitysim_log_input::decode;
-use realitysim_tagging::single_image::ImagePrior;
+use realitysim_tagging::single_image::{ImagePrior, MEASURED_HEIGHT_SIGMA_M};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = args().skip(1).collect();
@@ -21,6 +21,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         attitude: Euler { yaw: 0.0, pitch: pitch_deg.parse::<f64>()?.to_radians(), roll: 0.0 },
         tilt_sigma_rad: 2.0_f64.to_radians(),
         height_m: height_m.parse()?,
+        height_sigma_m: MEASURED_HEIGHT_SIGMA_M,
         initial: None,
         body: None,
     };

@@ -47,7 +47,7 @@ enum Command {
 /// Add captures and folders of images
 ///
 /// Of a capture every image with a valid tag that knows which half of the field it is in. A folder of images has poses.csv
-/// (file,x,y,z,yaw_deg,pitch_deg,roll_deg of camera_link in map), camera_info.yaml as ROS camera_calibration writes it, and, if the
+/// (file,x,y,z,yaw_deg,pitch_deg,roll_deg of camera_link in map, perhaps sigma_xy_m,sigma_rotation_deg), camera_info.yaml as ROS camera_calibration writes it, and, if the
 /// robot is in its pictures, body_mask.png, dark where it is. Makes the database if there is none.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim db add captures/2026-11-21T10-00-00Z-robot --db images/")]
@@ -67,7 +67,7 @@ struct AddArguments {
     /// Tags too that do not know which half of the field they are in: such an image may stand in the wrong half
     #[arg(long)]
     ambiguous: bool,
-    /// Only tags whose place is known this well: standard deviation along its longer axis, 0.001 to 1
+    /// Only poses whose place is known this well: standard deviation along its longer axis, 0.001 to 1
     #[arg(long, value_name = "M", default_value_t = TagLimits::default().sigma_m, value_parser = sigma)]
     max_sigma: f64,
 }
@@ -162,6 +162,13 @@ fn report_added(added: &Added, db: &Path, json: bool) -> anyhow::Result<Outcome>
     output::losses(&added.losses);
     for empty in &added.empty {
         output::say(&format!("nothing came of {empty}"));
+    }
+    if added.assumed > 0 {
+        output::say(&format!(
+            "{} images have poses without standard deviations: 1 cm and 0.25 deg are assumed (poses.csv may have sigma_xy_m and \
+             sigma_rotation_deg)",
+            added.assumed
+        ));
     }
     if json {
         output::json(added)?;

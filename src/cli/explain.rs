@@ -216,7 +216,7 @@ fn explain_image(located: &ImageLocation, evidence: Option<&Evidence>) -> Vec<St
     }];
     lines.extend(evidence.into_iter().flat_map(describe_evidence));
     match (fit, located.rival()) {
-        (FitQuality::None, _) => lines.push(photo::explain_no_pose(located.found.first())),
+        (FitQuality::None, _) => lines.push(photo::explain_no_pose(Some(located))),
         (FitQuality::Doubtful, Some(rival)) => {
             let Pose2 { x, y, yaw } = rival.place();
             let yaw_deg = yaw.to_degrees();

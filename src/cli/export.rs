@@ -5,25 +5,29 @@ use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::paths::{cannot_write, check_old, check_output, make_folder};
+use super::paths::{cannot_write, check_old, check_output, make_folder, write};
 use super::settings::UsageError;
 use super::{Outcome, output};
+use crate::config::camera_calibration_yaml;
+use crate::database::{POSES_HEAD, SIGMAS_HEAD};
 use crate::log_input::decode;
 use crate::log_input::log::{self, LogSource};
 use crate::recording::{Loss, Readout, losses, read_info, read_tags};
 use crate::ros2::mcap_read::{LogMessage, Selection};
 use crate::ros2::messages::{CompressedImageView, FrameTag};
 use crate::ros2::topics;
+use crate::vision::BodyMask;
 
 /// Write a capture's tags or frames in a form that other programs read
 ///
 /// tum: a text file, `stamp tx ty tz qx qy qz qw` of camera_link in map, valid tags only (evo reads it).
 /// images: a folder with one file per frame, tags.csv and tags.jsonl; JPEG and PNG are copied byte for byte, raw
-/// frames become PNG. What a damaged or incomplete capture no longer holds is named, and the rest written (exit code 3).
+/// frames become PNG. With poses.csv (valid poses that know their half of the field) and camera_info.yaml it is a folder of images
+/// for `db add`. What a damaged or incomplete capture no longer holds is named, and the rest written (exit code 3).
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim export captures/2026-11-21T10-00-00Z-robot --to images -o frames/")]
 pub struct ExportArguments {
@@ -143,6 +147,7 @@ fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(u
     let mut source = LogSource::with_outputs(log::files_of(capture)?, selection);
     let mut progress = output::Progress::new("exporting");
     let (mut written, mut unreadable, mut first_error) = (0, 0, None);
+    let mut poses = String::new();
     for message in source.by_ref() {
         let message = message?;
         if message.channel.topic != image_topic {
@@ -166,6 +171,9 @@ fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(u
         let path = folder.join(&row.file);
         fs::write(&path, &bytes).map_err(|error| cannot_write(&path, error))?;
         write_csv(&mut csv, &row).map_err(failed)?;
+        if tag.valid && !tag.ambiguous {
+            poses.push_str(&pose_line(&row, tag));
+        }
         serde_json::to_writer(&mut jsonl, &row).map_err(|error| failed(error.into()))?;
         writeln!(jsonl).map_err(failed)?;
         written += 1;
@@ -174,6 +182,10 @@ fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(u
     progress.finish();
     csv.flush().map_err(failed)?;
     jsonl.flush().map_err(failed)?;
+    if !poses.is_empty() {
+        write(&folder.join("poses.csv"), &format!("{POSES_HEAD}{SIGMAS_HEAD}\n{poses}"))?;
+        write_camera(capture, folder)?;
+    }
     let mut lost = losses(capture, source.damage());
     let mut lose = |what: String| Loss::new(capture, what).join(&mut lost);
     if let Some(error) = first_error {
@@ -191,6 +203,30 @@ fn images(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(u
         bail!("nothing was written: {}", all.join("; "));
     }
     Ok((written, lost))
+}
+
+/// A line of `poses.csv`.
+fn pose_line(row: &Row, tag: &FrameTag) -> String {
+    let Row { file, x, y, z, yaw_deg, pitch_deg, roll_deg, sigma_xy_m, .. } = row;
+    let rotation = [21, 28, 35].map(|at| tag.pose.covariance[at]).into_iter().fold(0.0, f64::max);
+    let rotation_deg = libm::sqrt(rotation).to_degrees();
+    format!("{file},{x:.6},{y:.6},{z:.6},{yaw_deg:.6},{pitch_deg:.6},{roll_deg:.6},{sigma_xy_m:.6},{rotation_deg:.6}\n")
+}
+
+/// Writes what else a folder of images needs: the lens, and the body mask if the capture has a single one.
+fn write_camera(capture: &Path, folder: &Path) -> anyhow::Result<()> {
+    let session = if capture.is_dir() { Some(capture) } else { capture.parent() };
+    let Some(info) = session.and_then(|session| read_info(session).ok()) else { return Ok(()) };
+    write(&folder.join("camera_info.yaml"), &camera_calibration_yaml(&info.lens))?;
+    let (width, height) = (info.lens.width, info.lens.height);
+    if let [runs] = &info.body_masks[..]
+        && let Some(mask) = BodyMask::from_runs(width as usize, height as usize, runs)
+        && let Some(picture) = image::GrayImage::from_raw(width, height, mask.to_gray())
+    {
+        let path = folder.join("body_mask.png");
+        picture.save(&path).with_context(|| path.display().to_string())?;
+    }
+    Ok(())
 }
 
 /// Returns the ending of a frame's file name, and the file's bytes.

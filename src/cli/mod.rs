@@ -18,6 +18,7 @@ mod export;
 mod falsify;
 mod gap;
 mod host_info;
+mod import;
 mod info;
 mod input_files;
 mod install;
@@ -92,6 +93,7 @@ enum Command {
     Eval(eval::EvalArguments),
     Explain(Box<explain::ExplainArguments>),
     Export(export::ExportArguments),
+    Import(Box<import::ImportArguments>),
     Info(info::InfoArguments),
     Tag(tag::TagArguments),
     Check(check::CheckArguments),
@@ -146,6 +148,7 @@ pub fn run() -> ExitCode {
         Command::Eval(arguments) => eval::run(&arguments, json),
         Command::Explain(arguments) => explain::run(&arguments, json),
         Command::Export(arguments) => export::run(&arguments, json),
+        Command::Import(arguments) => import::run(&arguments, json),
         Command::Info(arguments) => info::run(&arguments, json),
         Command::Tag(arguments) => tag::run(&arguments, json),
         Command::Check(arguments) => check::run(&arguments, json),

@@ -129,6 +129,47 @@ pub fn make_folder(path: &Path) -> anyhow::Result<()> {
     })
 }
 
+/// A file that is written beside its place, and moved there once it is whole. If it is dropped before, nothing is left of it.
+pub struct PendingFile {
+    file: std::io::BufWriter<tempfile::NamedTempFile>,
+    path: PathBuf,
+}
+
+impl PendingFile {
+    /// Begins a file. What is there and no plain file is refused: a rename would replace a device or a pipe.
+    pub fn create(path: &Path) -> anyhow::Result<Self> {
+        if path.metadata().is_ok_and(|there| !there.is_file()) {
+            return Err(UsageError(format!("{}: it is no plain file: name another", path.display())).into());
+        }
+        // A link stays a link, to the new file.
+        let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        // As for every other new file, the process's mask takes permissions away.
+        let permissions = std::os::unix::fs::PermissionsExt::from_mode(0o666);
+        let file = tempfile::Builder::new().prefix(".realitysim-").permissions(permissions).tempfile_in(folder);
+        let file = file.map_err(|error| cannot_write(&path, error.kind().into()))?;
+        Ok(Self { file: std::io::BufWriter::with_capacity(1 << 20, file), path })
+    }
+
+    /// Moves the file to its place.
+    pub fn keep(self) -> anyhow::Result<()> {
+        let file = self.file.into_inner().map_err(|error| cannot_write(&self.path, error.into_error()))?;
+        file.as_file().sync_all().map_err(|error| cannot_write(&self.path, error))?;
+        file.persist(&self.path).map_err(|error| cannot_write(&self.path, error.error))?;
+        Ok(())
+    }
+}
+
+impl std::io::Write for PendingFile {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.file.flush()
+    }
+}
+
 /// Makes a temporary folder, which is removed when the value goes out of scope.
 pub fn temporary() -> anyhow::Result<tempfile::TempDir> {
     tempfile::tempdir().map_err(|error| cannot_write(&std::env::temp_dir(), error))

@@ -10,11 +10,14 @@ use super::paths::cannot_read;
 use super::settings::{UsageError, numbers};
 use super::values::any_number;
 use crate::config::{load_lens_for_image, plain_file};
-use crate::geometry::{Euler, Pose2};
+use crate::geometry::{Euler, Field, Lens, Pose2};
 use crate::log_input::{body_mask, decode};
-use crate::tagging::single_image::{ImagePrior, MIN_SHARE, MIN_WEIGHT, PoseHypothesis};
+use crate::tagging::single_image::{
+    ImageLocation, ImagePrior, Look, MEASURED_HEIGHT_SIGMA_M, MIN_SHARE, MIN_WEIGHT, PoseHypothesis,
+};
+use crate::tagging::unknown_mount::UnknownMount;
 use crate::tagging::warnings::scaled_lens;
-use crate::vision::Picture;
+use crate::vision::{BodyMask, Picture};
 
 #[derive(Args)]
 pub struct PhotoArguments {
@@ -40,6 +43,59 @@ pub struct OtherInputs<'a> {
     pub initial: Option<Pose2>,
 }
 
+/// A camera whose attitude and height are known, or not.
+pub enum Camera {
+    Known(ImagePrior),
+    Unknown(UnknownMount),
+}
+
+impl Camera {
+    /// Finds the poses on each field that explain the picture.
+    pub fn locate<'f>(
+        &self,
+        picture: &Picture,
+        fields: &'f [(String, Field)],
+        seed: u64,
+    ) -> Vec<(&'f str, &'f Field, ImageLocation)> {
+        match self {
+            Self::Known(known) => {
+                // What a picture shows depends on how wide its lines are, and most fields share a width.
+                let mut looks: Vec<(f64, Look)> = Vec::new();
+                let locate = |(name, field): &'f (String, Field)| {
+                    let width_m = field.line_width();
+                    let index = looks.iter().position(|(other_m, _)| *other_m == width_m).unwrap_or_else(|| {
+                        looks.push((width_m, known.look(picture, width_m)));
+                        looks.len() - 1
+                    });
+                    (name.as_str(), field, known.locate(&looks[index].1, field, seed))
+                };
+                fields.iter().map(locate).collect()
+            }
+            Self::Unknown(unknown) => {
+                let locate =
+                    |(name, field): &'f (String, Field)| (name.as_str(), field, unknown.locate(picture, field, seed));
+                fields.iter().map(locate).collect()
+            }
+        }
+    }
+
+    pub fn lens(&self) -> &Lens {
+        match self {
+            Self::Known(known) => &known.lens,
+            Self::Unknown(unknown) => &unknown.lens,
+        }
+    }
+}
+
+/// What is known of an image's camera.
+struct Facts {
+    lens: Lens,
+    attitude: Option<Euler>,
+    tilt_sigma_rad: f64,
+    height_m: Option<f64>,
+    body: Option<BodyMask>,
+}
+
 impl PhotoArguments {
     /// Name of the first argument that is given, if any.
     pub fn first_given(&self) -> Option<&'static str> {
@@ -51,19 +107,45 @@ impl PhotoArguments {
         given.into_iter().find_map(|(is_given, name)| is_given.then_some(name))
     }
 
-    /// Reads the image, its lens and mask.
+    /// Reads the image, its lens and mask. Attitude and height must be known.
     pub fn open(&self, image: &Path, beside: &OtherInputs) -> anyhow::Result<(Picture, ImagePrior)> {
+        let (picture, facts) = self.facts(image, beside)?;
+        let Facts { lens, attitude, tilt_sigma_rad, height_m, body } = facts;
+        let missing = |what: &str| UsageError(format!("{what} is missing, and {} does not say it", beside.lens));
+        let attitude = attitude.ok_or_else(|| missing("--attitude"))?;
+        let height_m = height_m.ok_or_else(|| missing("--height"))?;
+        let (height_sigma_m, initial) = (MEASURED_HEIGHT_SIGMA_M, beside.initial);
+        Ok((picture, ImagePrior { lens, attitude, tilt_sigma_rad, height_m, height_sigma_m, initial, body }))
+    }
+
+    /// Reads the image, its lens and mask. What is not known of attitude and height is left to be found from the lines.
+    pub fn open_any(&self, image: &Path, beside: &OtherInputs) -> anyhow::Result<(Picture, Camera)> {
+        let (picture, facts) = self.facts(image, beside)?;
+        let Facts { lens, attitude, tilt_sigma_rad, height_m, body } = facts;
+        let initial = beside.initial;
+        let camera = match (attitude, height_m) {
+            (Some(attitude), Some(height_m)) => {
+                let height_sigma_m = MEASURED_HEIGHT_SIGMA_M;
+                Camera::Known(ImagePrior { lens, attitude, tilt_sigma_rad, height_m, height_sigma_m, initial, body })
+            }
+            (attitude, height_m) => {
+                let attitude = attitude.map(|attitude| (attitude, tilt_sigma_rad));
+                Camera::Unknown(UnknownMount { lens, attitude, height_m, initial, body })
+            }
+        };
+        Ok((picture, camera))
+    }
+
+    fn facts(&self, image: &Path, beside: &OtherInputs) -> anyhow::Result<(Picture, Facts)> {
         let bytes = plain_file::read(image, decode::MAX_IMAGE_FILE_BYTES).map_err(|error| cannot_read(image, error))?;
         let picture = decode::compressed(&bytes).with_context(|| image.display().to_string())?;
         let (width, height) = (picture.width as u32, picture.height as u32);
-        let lens = load_lens_for_image(beside.lens, width, height)?;
+        let lens = load_lens_for_image(beside.lens, width, height).with_context(|| image.display().to_string())?;
         if let Some(stated) = lens.scaled_from {
             eprintln!("realitysim: warning: {}", scaled_lens(beside.lens, stated, [width, height]));
         }
         let stated = lens.visual_mesh_pose.map(|pose| pose.world_from_camera_link);
-        let attitude = self.attitude.or(stated.map(|pose| pose.euler())).ok_or_else(|| {
-            UsageError(format!("--attitude is missing, and {} does not say how the camera was tilted", beside.lens))
-        })?;
+        let attitude = self.attitude.or(stated.map(|pose| pose.euler()));
         let height_m = self.height_above_carpet(beside.lens, stated.map(|pose| pose.translation.z))?;
         let body = match beside.body_mask {
             Some(png) => {
@@ -72,22 +154,23 @@ impl PhotoArguments {
             None => None,
         };
         let tilt_sigma_rad = self.attitude_sigma.unwrap_or(ATTITUDE_SIGMA_DEG).to_radians();
-        let known = ImagePrior { lens: lens.lens, attitude, tilt_sigma_rad, height_m, initial: beside.initial, body };
-        Ok((picture, known))
+        Ok((picture, Facts { lens: lens.lens, attitude, tilt_sigma_rad, height_m, body }))
     }
 
-    fn height_above_carpet(&self, lens: &str, stated: Option<f64>) -> Result<f64, UsageError> {
+    /// The same arguments with what is known of one image in place of what holds for all.
+    pub fn of_image(&self, attitude: Option<Euler>, height_m: Option<f64>) -> Self {
+        let Self { attitude_sigma, .. } = *self;
+        Self { attitude: attitude.or(self.attitude), attitude_sigma, height: height_m.or(self.height) }
+    }
+
+    fn height_above_carpet(&self, lens: &str, stated: Option<f64>) -> Result<Option<f64>, UsageError> {
         let (height_m, source) = match (self.height, stated) {
             (Some(height_m), _) => (height_m, "--height".to_owned()),
             (None, Some(height_m)) => (height_m, format!("{lens}: the height in Hoc")),
-            (None, None) => {
-                return Err(UsageError(format!(
-                    "--height is missing, and {lens} does not say how high the camera was"
-                )));
-            }
+            (None, None) => return Ok(None),
         };
         if (0.01..=100.0).contains(&height_m) {
-            return Ok(height_m);
+            return Ok(Some(height_m));
         }
         Err(UsageError(format!("{source} is {height_m}: it must be 0.01 to 100 m")))
     }
@@ -100,10 +183,18 @@ pub fn rgb(picture: &Picture) -> anyhow::Result<RgbImage> {
 }
 
 /// Explains why even the best pose is not accepted.
-pub fn explain_no_pose(best: Option<&PoseHypothesis>) -> String {
+pub fn explain_no_pose(located: Option<&ImageLocation>) -> String {
+    let best = located.and_then(|located| located.found.first());
+    let is_unknown = located.is_some_and(|located| !located.mount_is_known);
     let found = match best {
+        Some(best) if is_unknown && !is_too_weak(best) && !best.is_determined() => {
+            "its lines do not determine attitude and height: state --attitude and --height".to_owned()
+        }
+        Some(best) if is_unknown && !is_too_weak(best) && located.is_some_and(|located| located.rival().is_some()) => {
+            "two poses with different attitudes or heights explain its lines equally well: state --attitude and --height".to_owned()
+        }
         None => "there is no line of a field where the ground is in view".to_owned(),
-        Some(best) if best.share >= MIN_SHARE && best.weight >= MIN_WEIGHT => {
+        Some(best) if !is_too_weak(best) => {
             "the best pose's lines lie where chance would put some as well".to_owned()
         }
         Some(best) => format!(
@@ -116,6 +207,11 @@ pub fn explain_no_pose(best: Option<&PoseHypothesis>) -> String {
         ),
     };
     format!("{found}: check the image, --lens, --attitude, --height and --field")
+}
+
+/// Whether there is less line contrast than any pose needs.
+fn is_too_weak(best: &PoseHypothesis) -> bool {
+    best.share < MIN_SHARE || best.weight < MIN_WEIGHT
 }
 
 fn attitude_sigma(text: &str) -> Result<f64, String> {

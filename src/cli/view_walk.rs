@@ -21,7 +21,7 @@ use crate::evaluation::video::avi;
 use crate::evaluation::{Summary, drawing};
 use crate::geometry::{Euler, Isometry, Pose2, wrap_angle};
 use crate::log_input::encode::jpeg;
-use crate::tagging::single_image::ImagePrior;
+use crate::tagging::single_image::{ImagePrior, MEASURED_HEIGHT_SIGMA_M};
 use crate::views::{MAX_HEIGHT_M, MAX_TURN_DEG, MIN_HEIGHT_M, Method};
 use crate::vision::Picture;
 
@@ -134,6 +134,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
             attitude,
             tilt_sigma_rad: 0.0,
             height_m: z,
+            height_sigma_m: MEASURED_HEIGHT_SIGMA_M,
             initial: Some(Pose2 { yaw: wrap_angle(asked.yaw), ..asked }),
             body: None,
         };

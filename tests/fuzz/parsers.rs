@@ -21,6 +21,8 @@ use realitysim::geometry::{Euler, Field, Isometry, Lens, LensModel, LensParamete
 use realitysim::localization::Rejection;
 use realitysim::log_input::foxglove::FoxgloveType;
 use realitysim::log_input::synchroniser::Synchroniser;
+use realitysim::log_input::tables::messages::{WalkMessages, WalkTables};
+use realitysim::log_input::tables::{AngleUnit, Table, imu, joints, odometry, pictures, transforms};
 use realitysim::log_input::{decode, measurement};
 use realitysim::recording::{missing_parts, read_info};
 use realitysim::ros2::messages::{
@@ -33,7 +35,7 @@ use realitysim::tagging::{Checkpoint, Tagger};
 
 pub type Target = (&'static str, fn(&[u8]));
 
-pub const TARGETS: [Target; 14] = [
+pub const TARGETS: [Target; 15] = [
     ("mcap", mcap),
     ("cdr", cdr),
     ("schema", schema),
@@ -48,6 +50,7 @@ pub const TARGETS: [Target; 14] = [
     ("checkpoint", checkpoint),
     ("index", index),
     ("capture", capture),
+    ("table", table),
 ];
 
 /// A log of any origin.
@@ -321,4 +324,38 @@ pub fn capture(bytes: &[u8]) {
     write_index(&folder.path().join("index-000001.bin"), Vec::new()).expect("written");
     let _ = (read_info(folder.path()), missing_parts(folder.path()));
     let _ = ImageDatabase::open(folder.path(), &Settings::default().views);
+}
+
+/// A table of measurements, read as each kind, and the messages that are made of it.
+pub fn table(bytes: &[u8]) {
+    let Ok(text) = str::from_utf8(bytes) else { return };
+    let Ok(table) = Table::parse(text, "file") else { return };
+    for angles in [None, Some(AngleUnit::Degrees)] {
+        let mut tables = WalkTables::default();
+        if let Ok(measured) = imu::read(&mut table.clone(), angles) {
+            tables.imu = measured.rows;
+        }
+        if let Ok(measured) = odometry::read(&mut table.clone(), angles) {
+            tables.odometry = measured.rows;
+        }
+        if let Ok(measured) = joints::read(&mut table.clone(), angles) {
+            tables.joints = measured.rows;
+        }
+        if let Ok(measured) = transforms::read(&mut table.clone(), angles) {
+            tables.transforms = measured.rows;
+        }
+        let settings = Settings::default();
+        let mut messages = WalkMessages::new(&tables);
+        let constants = messages.constants(1, &small_lens());
+        for message in constants.into_iter().chain(std::iter::from_fn(|| messages.next_until(i64::MAX))) {
+            let read = measurement::read(&message, &settings.topics, &settings.head).expect("what was written is read");
+            assert_ne!(read, measurement::Measurement::Impossible);
+        }
+        let _ = pictures::read_known(&mut table.clone(), angles);
+    }
+    let _ = (pictures::read(&mut table.clone()), pictures::read_frames(&mut table.clone()));
+    let names: Vec<String> = text.lines().take(100).map(str::to_owned).collect();
+    let _ = pictures::by_names(&names);
+    let stamped = pictures::by_rate(&names, 0, 30.0);
+    assert!(stamped.windows(2).all(|pair| pair[0].stamp_ns < pair[1].stamp_ns));
 }

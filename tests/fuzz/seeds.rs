@@ -38,6 +38,7 @@ fn without_comments(text: &str) -> String {
 fn the_inputs_to_begin_from_are_written_anew() {
     logs();
     texts();
+    tables();
     images();
     foxglove();
     keep("mavlink", "sound-stream", mavlink_stream(50));
@@ -118,6 +119,26 @@ fn texts() {
     let few: Vec<&str> = reference.lines().take(4).collect();
     keep("gate", "sound-reference", few.join("\n").replace(&format!("\"frames\":{frames}"), "\"frames\":3"));
     keep("gate", "sound-case", "[[case]]\nsource = \"a.mcap\"\nlimits = { mean_cm = 1 }\nexcept_s = [[1, 2]]\n");
+}
+
+fn tables() {
+    for (name, text) in [
+        (
+            "imu-degrees",
+            "stamp,roll_deg,pitch_deg,yaw_deg,gx_dps,gy_dps,gz_dps,ax_g,ay_g,az_g\n1760000000.01,1,-2,3,0,0,1,0,0,1\n1760000000.02,1,-2,3,0,0,1,0,0,1\n",
+        ),
+        ("imu-quaternion", "Time [ns];qx;qy;qz;qw\n1760000000010000000;0;0;0;1\n1760000000020000000;0;0;0.6;0.8\n"),
+        ("odometry-poses", "t_ms\tx_mm\ty_mm\ttheta_rad\n10\t1\t2\t0.1\n20\t2\t2\t0.1\n"),
+        ("odometry-velocities", "# t,vx,vy,wz\n0.0,0.1,0,10\n0.1,0.2,0,-10\n"),
+        ("joints", "stamp,pan_deg,tilt_deg\n1760000000.5,10,-5\n"),
+        ("transforms", "stamp,parent,child,x,y,z,qx,qy,qz,qw\n1.5,base_footprint,camera_link,0,0,0.5,0,0,0,1\n"),
+        ("mount", "parent,child,x,y,z,roll_deg,pitch_deg,yaw_deg\nbase_footprint,camera_link,0,0,0.5,0,17,0\n"),
+        ("stamps", "image,stamp\n\"a,1.jpg\",1760000000123\nb.jpg,1760000000133\n"),
+        ("known", "image,roll_deg,pitch_deg,height,x,y,yaw_deg\na.jpg,0,17,0.5,,,\nb.jpg,,,,1,2,90\n"),
+        ("names", "frame_1760000000_250000000.png\nframe_1760000000.5.png\n"),
+    ] {
+        keep("table", &format!("sound-{name}"), text);
+    }
 }
 
 fn images() {

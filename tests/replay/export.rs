@@ -2,6 +2,8 @@
 
 use std::fs;
 
+use realitysim::config::Settings;
+use realitysim::database::ImageDatabase;
 use realitysim::ros2::messages::CompressedImage;
 use serde_json::Value;
 
@@ -65,7 +67,30 @@ fn exported_images_are_those_of_the_source_byte_for_byte() {
             assert!((object[name].as_f64().unwrap() - expected).abs() < 1e-9, "{name}");
         }
     }
-    assert_eq!(fs::read_dir(room.path("frames")).unwrap().count(), images.len() + 2);
+    // tags.csv, tags.jsonl, poses.csv, camera_info.yaml.
+    assert_eq!(fs::read_dir(room.path("frames")).unwrap().count(), images.len() + 4);
+}
+
+#[test]
+fn a_database_of_an_export_has_the_poses_of_the_capture() {
+    let room = Room::with_walk();
+    let session = session_of(&room, "log.mcap");
+    room.run(&format!("export {session} --to images -o frames")).succeeds();
+    let of_capture = room.run(&format!("db add {session} --db own --json")).succeeds().json();
+    let run = room.run("db add frames --db other --field kid-2009 --json").succeeds();
+    assert_eq!(run.json()["images"], of_capture["images"]);
+    assert_eq!(run.json()["assumed"], 0, "standard deviations are stated");
+    let database = |name: &str| ImageDatabase::open(&room.path(name), &Settings::default().views).unwrap();
+    let sorted = |database: &ImageDatabase| {
+        let mut records: Vec<_> = database.index().records().collect();
+        records.sort_by_key(|record| record.crc);
+        records
+    };
+    for (one, other) in sorted(&database("own")).iter().zip(sorted(&database("other"))) {
+        assert!((one.pose().translation - other.pose().translation).length() < 1e-5);
+        assert!((one.sigma_m - other.sigma_m).abs() < 0.45 * one.sigma_m, "{one:?} {other:?}");
+        assert!((one.sigma_rad - other.sigma_rad).abs() < 1e-6, "{one:?} {other:?}");
+    }
 }
 
 #[test]

@@ -23,6 +23,7 @@ mod figures;
 mod foxglove;
 mod hard;
 mod hostile_database;
+mod import;
 mod independent;
 mod interrupted;
 mod lenses;

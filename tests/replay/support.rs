@@ -97,8 +97,14 @@ impl Room {
 
     /// Arguments are split at spaces.
     pub fn run(&self, arguments: &str) -> Run {
+        self.run_with(arguments, &[])
+    }
+
+    /// The same with these variables in the environment.
+    pub fn run_with(&self, arguments: &str, variables: &[(&str, &str)]) -> Run {
         let program = env!("CARGO_BIN_EXE_realitysim");
         let mut command = Command::new(program);
+        command.envs(variables.iter().copied());
         let output = command.args(arguments.split_whitespace()).current_dir(&self.folder).output().unwrap();
         Run {
             arguments: arguments.to_owned(),

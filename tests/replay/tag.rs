@@ -1,5 +1,7 @@
-//! `tag`: the pose of one image, how far it may be trusted, and what makes no sense.
+//! `tag`: the pose of single images, how far it may be trusted, and what makes no sense.
 
+use std::fmt::Write;
+use std::fs;
 use std::path::Path;
 
 use glam::{DQuat, DVec3};
@@ -66,7 +68,7 @@ fn what_cannot_be_is_named() {
         (format!("{lens} --attitude -181,0 --height 0.5"), ["--attitude", "roll_deg is -181: it must be -180 to 180"]),
         (format!("{lens} --attitude 0,20 --height 0"), ["--height is 0", "0.01 to 100 m"]),
         (format!("{lens} --attitude 0,20 --height 500"), ["--height is 500", "0.01 to 100 m"]),
-        (format!("{lens} --attitude 0,20"), ["--height is missing", "lens.toml"]),
+        (format!("{KNOWN} --sheet out.png --overlay out.png"), ["--overlay is of one image", "--sheet"]),
         (
             format!("{KNOWN} --initial 9,0,0 --field kid-2009"),
             ["--initial is 9,0", "kid-2009 reaches from -3.70 to 3.70"],
@@ -166,4 +168,101 @@ fn a_picture_of_wide_lines_is_found_on_its_field() {
             assert!(report["fit"] == "good" && off_m < 0.05, "{off_m} m off: {report}");
         }
     }
+}
+
+/// Every sixth frame of the walk in a folder, a black picture, and a table of what is known of each. Returns the true poses by name.
+fn folder(room: &Room) -> Vec<(String, Isometry)> {
+    fs::create_dir(room.path("frames")).unwrap();
+    let images: Vec<CompressedImage> = decode_all(&walk().messages, IMAGE);
+    let truths: Vec<PoseStamped> = decode_all(&walk().messages, TRUTH);
+    let mut table = "image,roll_deg,pitch_deg,height,x,y,yaw_deg\nblack.png,0,17,0.49,,,\n".to_owned();
+    fs::copy(room.path("black.png"), room.path("frames/black.png")).unwrap();
+    let mut poses = Vec::new();
+    for (index, (image, truth)) in images.iter().zip(&truths).enumerate().step_by(6) {
+        let name = format!("{index}.jpg");
+        room.write(&format!("frames/{name}"), &image.data);
+        let pose = Isometry::from(truth.pose);
+        let (euler, place) = (pose.euler(), pose.translation);
+        let [roll, pitch, yaw] = [euler.roll, euler.pitch, euler.yaw].map(f64::to_degrees);
+        let about = format!("{:.1},{:.1},{yaw:.0}", place.x + 0.1, place.y - 0.1);
+        writeln!(table, "{name},{:.1},{:.1},{:.3},{about}", roll + 1.0, pitch - 1.0, place.z).unwrap();
+        poses.push((name, pose));
+    }
+    room.write("tilts.csv", table);
+    poses
+}
+
+#[test]
+fn a_folder_is_tagged_and_its_poses_make_a_database() {
+    let room = room();
+    let truths = folder(&room);
+    let outputs = "--sheet sheet.png --poses frames/poses.csv";
+    let known = "--lens lens.toml --attitude-csv tilts.csv --field kid-2009";
+    let run = room.run(&format!("tag frames {known} {outputs} --json")).succeeds();
+    let reports: Vec<Value> = run.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let names: Vec<&str> = reports.iter().map(|report| report["image"].as_str().unwrap()).collect();
+    assert_eq!(names[..3], ["frames/0.jpg", "frames/6.jpg", "frames/12.jpg"], "in the natural order of names");
+    assert_eq!(reports.last().unwrap()["fit"], "none", "black.png shows nothing");
+    let table = fs::read_to_string(room.path("frames/poses.csv")).unwrap();
+    let mut good = 0;
+    for line in table.lines().skip(1) {
+        let cells: Vec<&str> = line.split(',').collect();
+        let (_, truth) = truths.iter().find(|(name, _)| name == cells[0]).expect("one of the frames");
+        let number = |index: usize| cells[index].parse::<f64>().unwrap();
+        let off_m = (number(1) - truth.translation.x).hypot(number(2) - truth.translation.y);
+        let off_deg = (number(4) - truth.euler().yaw.to_degrees())
+            .abs()
+            .max((number(5) - truth.euler().pitch.to_degrees()).abs());
+        let (sigma_m, sigma_deg) = (number(7), number(8));
+        println!("{line}: {off_m:.4} m, {off_deg:.3} deg off");
+        assert!(off_m < 0.03 && off_deg < 0.5, "{line}: {off_m} m, {off_deg} deg off");
+        assert!((1e-4..0.05).contains(&sigma_m) && (1e-3..1.0).contains(&sigma_deg), "{line}");
+        assert!(off_m < 5.0 * sigma_m, "{line}: {off_m} m off");
+        good += 1;
+    }
+    assert!(good + 1 >= truths.len(), "{good} of {}", truths.len());
+    let sheet = image::open(room.path("sheet.png")).unwrap();
+    assert!(sheet.width() > 1600 && sheet.height() > 600, "{} x {}", sheet.width(), sheet.height());
+    let added = room.run("db add frames --db db --field kid-2009 --json").succeeds().json();
+    assert_eq!((&added["images"], &added["assumed"]), (&Value::from(good), &Value::from(0)));
+    // A page of a capture that somebody keeps is not replaced by poses.
+    room.write("frames/poses.csv", "something else");
+    room.run(&format!("tag frames {known} {outputs}")).fails(2, &["frames/poses.csv", "not of the kind"]);
+}
+
+#[test]
+fn attitude_and_height_are_found_from_the_lines_or_refused() {
+    let room = room();
+    let truths = folder(&room);
+    let (mut right, mut refused) = (0, 0);
+    // The first shows a mark and the far circle, the last the whole circle from near.
+    for (name, truth) in [&truths[0], &truths[truths.len() - 1]] {
+        let known = "--lens lens.toml --field kid-2009 --json";
+        let report = room.run(&format!("tag frames/{name} {known}")).json();
+        let number = |value: &Value| value.as_f64().unwrap();
+        let place =
+            |pose: &Value| (number(&pose["x"]) - truth.translation.x).hypot(number(&pose["y"]) - truth.translation.y);
+        let off_m = place(&report["best"]["pose"]).min(place(&report["mirror"]));
+        let off_z_m = (number(&report["z"]) - truth.translation.z).abs();
+        let off_deg = (number(&report["pitch_deg"]) - truth.euler().pitch.to_degrees()).abs();
+        println!("{name}: {}, {off_m:.3} m, {off_z_m:.3} m of height, {off_deg:.2} deg off", report["fit"]);
+        let is_right = off_m < 0.1 && off_z_m < 0.03 && off_deg < 1.0;
+        assert!(is_right || report["fit"] == "none", "{report}");
+        right += u32::from(is_right && report["fit"] != "none");
+        refused += u32::from(report["fit"] == "none");
+    }
+    assert!(right >= 1, "{refused} refused, none found");
+}
+
+#[test]
+fn a_folder_of_many_cameras_is_refused_with_the_picture_s_name() {
+    let room = room();
+    folder(&room);
+    image::RgbImage::new(64, 48).save(room.path("frames/7.png")).unwrap();
+    let run = room.run(&format!("tag frames {KNOWN} --field kid-2009 --poses frames/poses.csv"));
+    run.fails(2, &["frames/7.png", "320 x 240", "64 x 48"]);
+    assert!(!room.path("frames/poses.csv").exists(), "nothing half-written is left");
+    room.write("notes.csv", "image,roll_deg,pitch_deg\nother.jpg,0,0\n");
+    let run = room.run(&format!("tag frames {KNOWN} --field kid-2009 --attitude-csv notes.csv"));
+    run.fails(1, &["notes.csv", "no row names one of the"]);
 }

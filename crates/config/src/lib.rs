@@ -35,8 +35,8 @@ pub use fields::{
     check_field_size, field_file, field_names, field_seen_from, load_field, load_field_of_size, parse_field,
 };
 pub use lenses::{
-    LensFile, LensFormat, LensWanted, VisualMeshPose, lens_file, lens_from_camera_info, lens_names, lens_seen_from,
-    load_lens, load_lens_for_image, parse_lens,
+    LensFile, LensFormat, LensWanted, VisualMeshPose, camera_calibration_yaml, lens_file, lens_from_camera_info,
+    lens_names, lens_seen_from, load_lens, load_lens_for_image, parse_lens,
 };
 pub use settings::{
     BodyMaskFile, CameraSettings, CaptureSettings, FilterConfig, FrameNames, HeadSettings, MIN_BUDGET_MS, MotionSource,

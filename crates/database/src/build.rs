@@ -31,8 +31,10 @@ pub struct Added {
     pub left_out: u64,
     /// Number of images left out because their valid tag does not know which half of the field it is in.
     pub ambiguous: u64,
-    /// Number of images left out because the standard deviation of their valid tag exceeds the limit.
+    /// Number of images left out because the standard deviation of their pose exceeds the limit.
     pub imprecise: u64,
+    /// Number of images whose pose has no standard deviations: 1 cm and 0.25 degrees are assumed.
+    pub assumed: u64,
     /// Parts of the sources that could not be read.
     pub losses: Vec<Loss>,
     /// Sources without a usable image, with the reason.
@@ -161,7 +163,8 @@ fn add_source(
     field: Option<&FieldDimensions>,
     added: &mut Added,
 ) -> Result<(), DatabaseError> {
-    let Read { mut source, records: found, field: own, ambiguous, imprecise, losses, empty, lit, bodies } = read;
+    let Read { mut source, records: found, field: own, ambiguous, imprecise, assumed, losses, empty, lit, bodies } =
+        read;
     let at = source.path.clone();
     let path = || at.clone();
     let wanted = own.as_ref().or(field);
@@ -186,6 +189,7 @@ fn add_source(
     added.left_out += source.left_out;
     added.ambiguous += ambiguous;
     added.imprecise += imprecise;
+    added.assumed += assumed;
     added.losses.extend(losses);
     added.empty.extend(empty);
     if let Some(mask) = lit.mask(source.lens.width as usize) {

@@ -69,3 +69,4 @@ pub use index::{Index, Neighbour, write_index};
 pub use kd_tree::Metric;
 pub use leave_one_out::leave_one_out;
 pub use record::Record;
+pub use sources::{POSES_HEAD, SIGMAS_HEAD};

@@ -34,8 +34,10 @@ pub(super) struct Read {
     pub(super) field: Option<FieldDimensions>,
     /// Number of images left out because their valid tag does not know which half of the field it is in.
     pub(super) ambiguous: u64,
-    /// Number of images left out because the standard deviation of their valid tag exceeds the limit.
+    /// Number of images left out because the standard deviation of their pose exceeds the limit.
     pub(super) imprecise: u64,
+    /// Number of images whose pose has no standard deviations, for which some are assumed.
+    pub(super) assumed: u64,
     /// Parts that could not be read.
     pub(super) losses: Vec<Loss>,
     /// Why there is no record, if there is none.
@@ -49,7 +51,14 @@ pub(super) struct Read {
 /// The file of a folder of images with their poses.
 const POSES: &str = "poses.csv";
 /// The first line of that file.
-const POSES_HEAD: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg";
+pub const POSES_HEAD: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg";
+/// What the first line may go on with: standard deviations of the position along its longer axis, and of the rotation.
+pub const SIGMAS_HEAD: &str = ",sigma_xy_m,sigma_rotation_deg";
+/// Standard deviation of a pose that is stated as exact, metres and radians.
+const EXACT: f64 = 1e-6;
+/// Largest standard deviations of a pose: beyond a field and a full turn nothing is known.
+const MAX_SIGMA_M: f64 = 100.0;
+const MAX_SIGMA_DEG: f64 = 360.0;
 /// The file of a folder of images with its lens.
 const CAMERA: &str = "camera_info.yaml";
 /// The file of a folder of images that is dark where they show the robot's own body.
@@ -67,7 +76,7 @@ pub(super) fn is_source(path: &Path) -> bool {
 /// Reads a capture, one of its segments, or a folder with `poses.csv`. `done` gets the number of images so far.
 pub(super) fn read(path: &Path, limits: TagLimits, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let path = path.canonicalize().map_err(io(path))?;
-    if path.join(POSES).is_file() { read_folder(path, done) } else { read_capture(path, limits, done) }
+    if path.join(POSES).is_file() { read_folder(path, limits, done) } else { read_capture(path, limits, done) }
 }
 
 fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
@@ -182,7 +191,13 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
         path,
     };
     let bodies = info.body_masks.iter().filter_map(|runs| BodyMask::from_runs(size[0], size[1], runs)).collect();
-    Ok(Read { source, records, field: Some(info.field), ambiguous, imprecise, losses, empty, lit, bodies })
+    let assumed = without_sigmas(&records);
+    Ok(Read { source, records, field: Some(info.field), ambiguous, imprecise, assumed, losses, empty, lit, bodies })
+}
+
+/// Number of images whose pose has no standard deviations.
+fn without_sigmas(records: &[Record]) -> u64 {
+    records.iter().filter(|record| !record.says_how_good_it_is()).count() as u64
 }
 
 /// The stored image in a message: where its bytes begin, the bytes, and their form.
@@ -265,27 +280,34 @@ fn decode_batch(
 const MAX_TABLE_BYTES: u64 = 256 << 20;
 
 /// Reads a folder of images with `poses.csv` and `camera_info.yaml`.
-fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
+fn read_folder(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
     let table = path.join(POSES);
     let text = plain_file::read_text(&table, MAX_TABLE_BYTES).map_err(io(&table))?;
     let wrong =
         |line: usize, what: String| DatabaseError::Source { path: table.clone(), what: format!("line {line}: {what}") };
     let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
-    match lines.next() {
-        Some((_, head)) if head == POSES_HEAD => {}
+    let has_sigmas = match lines.next() {
+        Some((_, head)) if head == POSES_HEAD => false,
+        Some((_, head)) if head.strip_prefix(POSES_HEAD) == Some(SIGMAS_HEAD) => true,
         found => {
             let found = found.map_or("", |(_, head)| head).to_owned();
-            return Err(wrong(1, format!("the head is {found:?}, and {POSES_HEAD:?} is needed")));
+            let may_follow = format!("perhaps with {SIGMAS_HEAD:?} behind it");
+            return Err(wrong(1, format!("the head is {found:?}, and {POSES_HEAD:?} is needed, {may_follow}")));
         }
-    }
+    };
     let (mut files, mut records, mut losses, mut batch) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let (mut lens, mut left_out, mut lit) = (None, 0, LitPixels::default());
+    let (mut lens, mut left_out, mut imprecise, mut lit) = (None, 0, 0, LitPixels::default());
     for (line, text) in lines.filter(|(_, text)| !text.is_empty()) {
-        let (name, pose) = row(text).map_err(|what| wrong(line, what))?;
+        let Posed { name, pose, sigma_m, sigma_rad } = row(text, has_sigmas).map_err(|what| wrong(line, what))?;
         let file = path.join(&name);
         let inside = name.components().all(|part| matches!(part, std::path::Component::Normal(_)));
         if !inside {
             return Err(wrong(line, format!("{} does not lie in this folder", name.display())));
+        }
+        if sigma_m > limits.sigma_m {
+            imprecise += 1;
+            left_out += 1;
+            continue;
         }
         let read = |meta: fs::Metadata| read_bytes(&file, 0, meta.len().min(u64::from(u32::MAX)) as u32);
         let bytes = match fs::metadata(&file).and_then(read) {
@@ -308,6 +330,7 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         }
         let mut record = record_of(&FrameTag::default(), files.len() as u32, 0, &bytes, Form::File);
         record.set_pose(&pose);
+        (record.sigma_m, record.sigma_rad) = (sigma_m as f32, sigma_rad as f32);
         files.push(name);
         batch.push((record, bytes));
         if batch.len() == MAX_BATCH {
@@ -325,7 +348,10 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
     }
     let lens = lens.ok_or_else(|| DatabaseError::Source {
         path: path.clone(),
-        what: format!("{POSES} names no image that can be read"),
+        what: match imprecise {
+            0 => format!("{POSES} names no image that can be read"),
+            _ => format!("none of its poses is known to {} m (--max-sigma takes others)", limits.sigma_m),
+        },
     })?;
     let bodies = body_of(&path, &lens)?.into_iter().collect();
     let empty = records.is_empty().then(|| Loss::new(&path, "none of its images can be read"));
@@ -340,10 +366,11 @@ fn read_folder(path: PathBuf, done: &mut dyn FnMut(u64)) -> Result<Read, Databas
         darkening: None,
         images,
         left_out,
-        limits: TagLimits::default(),
+        limits,
         goals: true,
     };
-    Ok(Read { source, records, field: None, ambiguous: 0, imprecise: 0, losses, empty, lit, bodies })
+    let assumed = without_sigmas(&records);
+    Ok(Read { source, records, field: None, ambiguous: 0, imprecise, assumed, losses, empty, lit, bodies })
 }
 
 /// Decodes a batch of a folder's images, once the lens is known from the first readable one.
@@ -390,17 +417,41 @@ fn body_of(folder: &Path, lens: &LensParameters) -> Result<Option<BodyMask>, Dat
     read().map(Some).map_err(|what| DatabaseError::Image { path, what })
 }
 
-/// Parses a line of `poses.csv`: the file's name, and the pose of `camera_link` in `map`.
-fn row(text: &str) -> Result<(PathBuf, Isometry), String> {
+/// A line of `poses.csv`.
+struct Posed {
+    /// Name of the image's file.
+    name: PathBuf,
+    /// Pose of `camera_link` in `map`.
+    pose: Isometry,
+    /// Standard deviation of the position along its longer axis, metres; 0 if it is not stated.
+    sigma_m: f64,
+    /// Standard deviation of the rotation, radians; 0 if it is not stated.
+    sigma_rad: f64,
+}
+
+/// Parses a line of `poses.csv`. An empty standard deviation is not stated.
+fn row(text: &str, has_sigmas: bool) -> Result<Posed, String> {
     let cells: Vec<&str> = text.split(',').map(str::trim).collect();
     let [name, numbers @ ..] = cells.as_slice() else { return Err("empty".to_owned()) };
-    let numbers: Vec<f64> = numbers
-        .iter()
-        .map(|cell| cell.parse().ok().filter(|x: &f64| x.is_finite()).ok_or(format!("{cell:?} is no number")))
-        .collect::<Result<_, _>>()?;
-    let [x, y, z, yaw, pitch, roll] = numbers[..] else {
-        return Err(format!("{} cells, and 7 are needed: {POSES_HEAD}", cells.len()));
+    let needed = if has_sigmas { 9 } else { 7 };
+    if cells.len() != needed {
+        let sigmas = if has_sigmas { SIGMAS_HEAD } else { "" };
+        return Err(format!("{} cells, and {needed} are needed: {POSES_HEAD}{sigmas}", cells.len()));
+    }
+    let number = |cell: &str| match cell.parse() {
+        Ok(number) if f64::is_finite(number) => Ok(number),
+        _ => Err(format!("{cell:?} is no number")),
     };
+    let mut values = [0.0; 8];
+    for (index, (value, cell)) in values.iter_mut().zip(numbers).enumerate() {
+        let is_sigma = index >= 6;
+        *value = if is_sigma && cell.is_empty() { 0.0 } else { number(cell)? };
+    }
+    let [x, y, z, yaw, pitch, roll, sigma_m, sigma_deg] = values;
+    let is_stated = |index: usize| numbers.get(index).is_some_and(|cell: &&str| !cell.is_empty());
+    if is_stated(6) != is_stated(7) {
+        return Err("sigma_xy_m and sigma_rotation_deg are stated both, or both left empty".to_owned());
+    }
     let within = |name: &str, value: f64, range: RangeInclusive<f64>| {
         let (low, high) = (range.start(), range.end());
         if range.contains(&value) { Ok(()) } else { Err(format!("{name} is {value}: {low} to {high} is possible")) }
@@ -411,6 +462,12 @@ fn row(text: &str) -> Result<(PathBuf, Isometry), String> {
     for (name, angle) in [("yaw_deg", yaw), ("pitch_deg", pitch), ("roll_deg", roll)] {
         within(name, angle, -MAX_TURN_DEG..=MAX_TURN_DEG)?;
     }
+    within("sigma_xy_m", sigma_m, 0.0..=MAX_SIGMA_M)?;
+    within("sigma_rotation_deg", sigma_deg, 0.0..=MAX_SIGMA_DEG)?;
     let euler = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
-    Ok((PathBuf::from(name), Isometry::from_euler(euler, DVec3::new(x, y, z))))
+    let pose = Isometry::from_euler(euler, DVec3::new(x, y, z));
+    // 0 would say that nothing is known, and an exact pose is known best.
+    let stated = |sigma: f64| if is_stated(6) { sigma.max(EXACT) } else { 0.0 };
+    let (sigma_m, sigma_rad) = (stated(sigma_m), stated(sigma_deg.to_radians()));
+    Ok(Posed { name: PathBuf::from(name), pose, sigma_m, sigma_rad })
 }

@@ -38,6 +38,7 @@ pub mod measurement;
 pub mod planar_velocity;
 pub mod scene_source;
 pub mod synchroniser;
+pub mod tables;
 pub mod topic_resolution;
 pub mod transforms;
 

@@ -9,7 +9,7 @@ use std::sync::{Mutex, PoisonError};
 
 use super::perception_pool::decode_picture;
 use super::setup::FramePerception;
-use super::single_image::{FitQuality, ImagePrior, PoseHypothesis, searched_m2};
+use super::single_image::{FitQuality, ImagePrior, MEASURED_HEIGHT_SIGMA_M, PoseHypothesis, searched_m2};
 use realitysim_config::{Settings, Topics, field_names, lens_names, load_field_of_size, load_lens};
 use realitysim_geometry::{Euler, Field, FieldDimensions, Isometry, Lens, LensParameters};
 use realitysim_log_input::synchroniser::Frame;
@@ -312,7 +312,8 @@ impl DiagnosisInput<'_> {
         let picture = decode_picture(&sample.message, &lens).ok()?;
         let body = self.perception.body(sample.head).cloned();
         let attitude = Euler { yaw: 0.0, pitch, roll };
-        let known = ImagePrior { lens, attitude, tilt_sigma_rad: TILT_SIGMA_RAD, height_m, initial: None, body };
+        let (tilt_sigma_rad, height_sigma_m) = (TILT_SIGMA_RAD, MEASURED_HEIGHT_SIGMA_M);
+        let known = ImagePrior { lens, attitude, tilt_sigma_rad, height_m, height_sigma_m, initial: None, body };
         let located = known.locate(&known.look(&picture, field.line_width()), &field, self.settings.filter.seed);
         let PoseHypothesis { log_likelihood, explained, lines, .. } = *located.found.first()?;
         let explained = log_likelihood.max(0.0) * lines.share * explained;

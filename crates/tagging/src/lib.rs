@@ -62,6 +62,7 @@ mod run_stats;
 pub mod setup;
 pub mod single_image;
 pub mod tagger;
+pub mod unknown_mount;
 pub mod warm_start;
 pub mod warnings;
 

@@ -28,6 +28,8 @@ pub struct ImagePrior {
     pub tilt_sigma_rad: f64,
     /// Height of `camera_link` above the carpet.
     pub height_m: f64,
+    /// Standard deviation of the height; [`MEASURED_HEIGHT_SIGMA_M`] of one that was measured.
+    pub height_sigma_m: f64,
     /// Approximate pose of `camera_link` in `map`; without it the whole field is searched.
     pub initial: Option<Pose2>,
     /// Pixels that show the robot's own body.
@@ -48,11 +50,24 @@ struct View {
     seen: Observations,
 }
 
+/// Standard deviations of a pose that is fitted to the lines.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PoseSigmas {
+    /// Of the position on the ground along its longer axis, metres.
+    pub xy_m: f64,
+    /// Of the height, metres.
+    pub z_m: f64,
+    /// Of the rotation: the largest of those about the three axes of `map`, radians.
+    pub rotation_rad: f64,
+}
+
 /// A pose that explains the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseHypothesis {
     /// Pose of `camera_link` in `map`.
     pub map_from_link: Isometry,
+    /// How well the lines determine the pose; `None` if it is not refined.
+    pub sigmas: Option<PoseSigmas>,
     /// Whether the pose is fitted to the lines to a fraction of a pixel. Otherwise it is as the search found it.
     pub refined: bool,
     /// How far the lines agree with the pose.
@@ -75,6 +90,9 @@ pub struct ImageLocation {
     pub found: Vec<PoseHypothesis>,
     /// Whether the whole field was searched, because no approximate pose was given.
     pub searched: bool,
+    /// Whether attitude and height were known. Otherwise a second pose that explains the image nearly as well makes both
+    /// mean nothing, because such poses differ in more than the place.
+    pub mount_is_known: bool,
 }
 
 /// How far the best pose may be trusted, the most trusted first.
@@ -111,6 +129,9 @@ const BOTH_WAYS_LESS_PER_PX: f64 = 0.1;
 /// Difference in log likelihood by which the best pose must exceed every other.
 const CLEAR_BY: f64 = 2.0;
 
+/// Share of the best pose's merit from which another makes both mean nothing, where attitude and height were not known.
+const RIVAL_MERIT: f64 = 0.7;
+
 /// Poses closer than this, in metres and radians, are the same.
 const SAME_M: f64 = 0.4;
 const SAME_RAD: f64 = 0.3;
@@ -127,10 +148,18 @@ const TILT_SIGMAS: f64 = 1.25;
 const LINE_POINTS: usize = 700;
 /// Width of the band around the carpet in which poses are searched too.
 const SEARCH_MARGIN_M: f64 = 0.5;
-/// Standard deviations of a pose that the search found, before it is refined, and of the given height.
+/// Standard deviations of a pose that the search found, before it is refined.
 const START_M: f64 = 0.15;
 const START_RAD: f64 = 0.05;
-const HEIGHT_M: f64 = 0.005;
+/// Standard deviation of a height that was measured, metres.
+pub const MEASURED_HEIGHT_SIGMA_M: f64 = 0.005;
+/// Largest error of the height within which lines are looked for, metres.
+const HEIGHT_REACH_M: f64 = 0.03;
+/// Largest standard deviations of a pose that means something, where attitude and height were not known: beyond these the lines
+/// do not determine them.
+const MAX_SIGMAS: PoseSigmas = PoseSigmas { xy_m: 0.15, z_m: 0.05, rotation_rad: 0.035 };
+/// Digits against chance that attitude and height cost where they are not known, because so many more poses were tried.
+const DIGITS_FOR_MOUNT: f64 = 2.0;
 /// Smallest standard deviation of the tilt, also if it is known exactly: field and lens differ a little from their files.
 const MIN_TILT_SIGMA_RAD: f64 = 0.0005;
 /// Fewest line places that must fit a refined pose.
@@ -162,6 +191,16 @@ impl ImagePrior {
 
     /// Looks at a picture with the given attitude and, if that may be wrong, with others around it, for lines of this width.
     pub fn look<'a>(&self, picture: &'a Picture, line_width_m: f64) -> Look<'a> {
+        self.look_with(picture, line_width_m, tilts(self.tilt_sigma_rad))
+    }
+
+    /// Looks at a picture with the given attitude alone.
+    pub(crate) fn look_once<'a>(&self, picture: &'a Picture, line_width_m: f64) -> Look<'a> {
+        self.look_with(picture, line_width_m, vec![[0.0; 2]])
+    }
+
+    /// Looks at a picture with these changes of roll and pitch.
+    fn look_with<'a>(&self, picture: &'a Picture, line_width_m: f64, tilts: Vec<[f64; 2]>) -> Look<'a> {
         let settings = VisionSettings {
             reading: observation::reading(Model::Gauss, Formula::Corrected),
             line_width_m,
@@ -171,7 +210,7 @@ impl ImagePrior {
             reduction: 0,
         };
         let vision = Vision::new(&self.lens, settings);
-        let views = tilts(self.tilt_sigma_rad).into_iter().map(|more| {
+        let views = tilts.into_iter().map(|more| {
             let footprint_from_link = self.footprint_from_link(more);
             let seen = vision.look(picture, &(footprint_from_link * Isometry::link_from_optical()), self.body.as_ref());
             View { footprint_from_link, seen }
@@ -181,35 +220,20 @@ impl ImagePrior {
 
     /// Finds the poses on a field that explain what the image shows. `look` is of lines as wide as the field's, `seed` is for the particles around an initial pose.
     pub fn locate(&self, look: &Look, field: &Field, seed: u64) -> ImageLocation {
-        let alpha = default_alpha(Formula::Corrected);
-        let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);
-        let mut search = GlobalSearch::new(field, SEARCH_MARGIN_M, &observation);
+        let mut searcher = FieldSearch::new(field);
         let mut refiner = Refiner::new(field, &self.lens);
         let line_distances = LineDistanceMap::new(field);
         let mut found = Vec::new();
         for view in &look.views {
-            let candidates = match self.initial {
-                None => {
-                    let (mut state, mut effort) = (SearchState::default(), Effort::default());
-                    let found = search.run(
-                        &observation,
-                        &view.seen.table,
-                        SearchRequest { candidates: KEPT, rate: SearchRate::Fast },
-                        &mut state,
-                        &mut effort,
-                        &mut always,
-                    );
-                    found.unwrap_or_default()
-                }
-                Some(initial) => vec![search_around(&observation, &view.seen, initial, seed)],
-            };
+            let candidates = self.candidates(&view.seen, &mut searcher, seed);
+            let observation = &searcher.observation;
             found.extend(candidates.iter().map(|candidate| {
                 let start = candidate.pose.to_isometry() * view.footprint_from_link;
-                let unrefined = self.weighed(look, &observation, &line_distances, start, None);
+                let unrefined = self.weighed(look, observation, &line_distances, start, None);
                 let Some((pose, lines)) = self.refined(&mut refiner, &view.seen, &candidate.pose, &start) else {
                     return unrefined;
                 };
-                let refined = self.weighed(look, &observation, &line_distances, pose, Some(lines));
+                let refined = self.weighed(look, observation, &line_distances, pose, Some(lines));
                 // On a field that differs from its file, a refined pose may show less contrast than the one that it came from.
                 // The better of both is used to judge the pose.
                 let PoseHypothesis { share, weight, log_likelihood, .. } =
@@ -221,7 +245,43 @@ impl ImagePrior {
         let found = found.into_iter();
         let mut found = without_mirrors(found.filter(|found| found.weight > 0.0));
         found.truncate(KEPT);
-        ImageLocation { found, searched: self.initial.is_none() }
+        ImageLocation { found, searched: self.initial.is_none(), mount_is_known: true }
+    }
+
+    /// The poses in the plane that explain one view best: on the whole field, or near the initial pose.
+    fn candidates(&self, seen: &Observations, searcher: &mut FieldSearch, seed: u64) -> Vec<Candidate> {
+        let FieldSearch { observation, search } = searcher;
+        match self.initial {
+            None => {
+                let (mut state, mut effort) = (SearchState::default(), Effort::default());
+                let request = SearchRequest { candidates: KEPT, rate: SearchRate::Fast };
+                let found = search.run(observation, &seen.table, request, &mut state, &mut effort, &mut always);
+                found.unwrap_or_default()
+            }
+            Some(initial) => vec![search_around(observation, seen, initial, seed)],
+        }
+    }
+
+    /// The best pose in the plane with the given attitude and height alone; `None` if there is no line in view.
+    pub(crate) fn best_candidate(
+        &self,
+        picture: &Picture,
+        line_width_m: f64,
+        searcher: &mut FieldSearch,
+        seed: u64,
+    ) -> Option<Candidate> {
+        let look = self.look_once(picture, line_width_m);
+        let candidates = self.candidates(&look.views.first()?.seen, searcher, seed);
+        candidates.into_iter().max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))
+    }
+
+    /// Fits a pose to the lines once more, from where it is; `None` if too few of them fit.
+    pub(crate) fn refit(&self, picture: &Picture, field: &Field, start: &PoseHypothesis) -> Option<PoseHypothesis> {
+        let look = self.look_once(picture, field.line_width());
+        let (mut refiner, line_distances) = (Refiner::new(field, &self.lens), LineDistanceMap::new(field));
+        let seen = &look.views.first()?.seen;
+        let (pose, fitted) = self.refined(&mut refiner, seen, &start.place(), &start.map_from_link)?;
+        Some(self.weighed(&look, &FieldSearch::new(field).observation, &line_distances, pose, Some(fitted)))
     }
 
     /// The evidence for the best pose, with all poses found as the poses that were tried; `None` if none was found.
@@ -253,19 +313,21 @@ impl ImagePrior {
         seen: &Observations,
         place: &Pose2,
         start: &Isometry,
-    ) -> Option<(Isometry, Agreement)> {
+    ) -> Option<(Isometry, Fitted)> {
         let optical = Isometry::link_from_optical();
         let given = place.to_isometry() * self.footprint_from_link([0.0; 2]) * optical;
         let tilt = self.tilt_sigma_rad.max(MIN_TILT_SIGMA_RAD);
-        let sigmas = |tilt: f64| Vector6::new(START_M, START_M, HEIGHT_M, tilt, tilt, START_RAD);
+        let sigmas = |height: f64, tilt: f64| Vector6::new(START_M, START_M, height, tilt, tilt, START_RAD);
         let covariance = |sigmas: Vector6<f64>| Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
-        let prior = Prior::of_pose(given, &covariance(sigmas(tilt)));
-        let reach = covariance(sigmas(tilt.min(0.6 * TILT_STEP_RAD)));
+        let height = self.height_sigma_m;
+        let prior = Prior::of_pose(given, &covariance(sigmas(height, tilt)));
+        let reach = covariance(sigmas(height.min(HEIGHT_REACH_M), tilt.min(0.6 * TILT_STEP_RAD)));
         let start = error_between(&given, &(*start * optical));
         let refined = refiner.refine_within(&seen.image, &prior, &start, &reach)?;
         let lines = refined.lines;
         let agrees = lines.fitting >= MIN_FITTING && lines.share > MIN_FITTING_SHARE;
-        agrees.then(|| (refined.map_from_optical * optical.inverse(), lines))
+        let sigmas = PoseSigmas::of(&(refined.covariance.fixed_view::<6, 6>(0, 0) + refined.by_paint));
+        agrees.then(|| (refined.map_from_optical * optical.inverse(), Fitted { lines, sigmas }))
     }
 
     /// Judges a pose by the image, whose ground is computed as seen from that pose.
@@ -275,7 +337,7 @@ impl ImagePrior {
         observation: &Observation,
         line_distances: &LineDistanceMap,
         map_from_link: Isometry,
-        lines: Option<Agreement>,
+        fitted: Option<Fitted>,
     ) -> PoseHypothesis {
         let optical = Isometry::link_from_optical();
         let place = Pose2::from_isometry(&map_from_link);
@@ -291,8 +353,47 @@ impl ImagePrior {
         // A distribution with heavy tails, because a given tilt is either right or far off.
         let unlikely = libm::log(1.0 + 0.5 * (roll * roll + pitch * pitch));
         let log_likelihood = observation.log_likelihood(&seen.table, &place) - unlikely;
-        let (refined, lines) = (lines.is_some(), lines.unwrap_or_default());
-        PoseHypothesis { map_from_link, refined, lines, explained, share, weight, log_likelihood }
+        let (refined, sigmas) = (fitted.is_some(), fitted.map(|fitted| fitted.sigmas));
+        let lines = fitted.map(|fitted| fitted.lines).unwrap_or_default();
+        PoseHypothesis { map_from_link, sigmas, refined, lines, explained, share, weight, log_likelihood }
+    }
+}
+
+/// What searching a field for poses needs.
+pub(crate) struct FieldSearch {
+    observation: Observation,
+    search: GlobalSearch,
+}
+
+impl FieldSearch {
+    pub(crate) fn new(field: &Field) -> Self {
+        let alpha = default_alpha(Formula::Corrected);
+        let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);
+        let search = GlobalSearch::new(field, SEARCH_MARGIN_M, &observation);
+        Self { observation, search }
+    }
+}
+
+/// How a refined pose fits the lines.
+#[derive(Clone, Copy)]
+struct Fitted {
+    lines: Agreement,
+    sigmas: PoseSigmas,
+}
+
+impl PoseSigmas {
+    /// Takes them from a covariance of x, y, z and the rotations about the axes of `map`.
+    fn of(covariance: &Matrix6<f64>) -> Self {
+        let [xx, xy, yy] = [(0, 0), (0, 1), (1, 1)].map(|at| covariance[at]);
+        // The larger eigenvalue of the 2 x 2 part, in closed form.
+        let longer = 0.5 * (xx + yy) + libm::hypot(0.5 * (xx - yy), xy);
+        let rotation = (3..6).map(|axis| covariance[(axis, axis)]).fold(0.0, f64::max);
+        let root = |variance: f64| libm::sqrt(variance.max(0.0));
+        Self { xy_m: root(longer), z_m: root(covariance[(2, 2)]), rotation_rad: root(rotation) }
+    }
+
+    fn is_within(&self, most: &Self) -> bool {
+        self.xy_m <= most.xy_m && self.z_m <= most.z_m && self.rotation_rad <= most.rotation_rad
     }
 }
 
@@ -309,7 +410,7 @@ fn tilts(sigma_rad: f64) -> Vec<[f64; 2]> {
 }
 
 /// Removes poses that are near an earlier one or near its mirror image. Near the halfway line a search finds both.
-fn without_mirrors(found: impl Iterator<Item = PoseHypothesis>) -> Vec<PoseHypothesis> {
+pub(crate) fn without_mirrors(found: impl Iterator<Item = PoseHypothesis>) -> Vec<PoseHypothesis> {
     let mut kept: Vec<PoseHypothesis> = Vec::new();
     for candidate in found {
         let mirror = candidate.place().mirrored();
@@ -331,15 +432,20 @@ impl ImageLocation {
     /// The second best pose, if it explains the image nearly as well as the best one.
     pub fn rival(&self) -> Option<&PoseHypothesis> {
         let [best, next, ..] = &self.found[..] else { return None };
+        if !self.mount_is_known {
+            return (next.merit() > RIVAL_MERIT * best.merit()).then_some(next);
+        }
         (best.log_likelihood - next.log_likelihood < CLEAR_BY).then_some(next)
     }
 
     /// How far the best pose may be trusted.
     pub fn fit(&self) -> FitQuality {
+        let digits_more = if self.mount_is_known { 0.0 } else { DIGITS_FOR_MOUNT };
         match self.found[..] {
-            [best, ..] if !best.means_something(self.searched) => FitQuality::None,
+            [best, ..] if !best.means_something(self.searched, digits_more) => FitQuality::None,
+            [best, ..] if !self.mount_is_known && (self.rival().is_some() || !best.is_determined()) => FitQuality::None,
             [_, ..] if self.rival().is_some() => FitQuality::Doubtful,
-            [best, ..] if best.is_trusted(self.searched) => FitQuality::Good,
+            [best, ..] if best.is_trusted(self.searched, digits_more) => FitQuality::Good,
             [_, ..] => FitQuality::Doubtful,
             [] => FitQuality::None,
         }
@@ -352,13 +458,24 @@ impl PoseHypothesis {
         Pose2::from_isometry(&self.map_from_link)
     }
 
-    fn means_something(&self, searched: bool) -> bool {
-        let digits = if searched { MIN_DIGITS_IF_SEARCHED } else { MIN_DIGITS };
+    /// How much speaks for the pose, whatever attitude and height it has: digits against chance, less where lines are missing or
+    /// unexplained.
+    pub(crate) fn merit(&self) -> f64 {
+        self.lines.digits.max(0.0) * self.lines.share.min(self.lines.foremost) * self.explained
+    }
+
+    /// Whether the lines determine the pose, attitude and height included.
+    pub fn is_determined(&self) -> bool {
+        self.sigmas.is_some_and(|sigmas| sigmas.is_within(&MAX_SIGMAS))
+    }
+
+    fn means_something(&self, searched: bool, more_digits: f64) -> bool {
+        let digits = more_digits + if searched { MIN_DIGITS_IF_SEARCHED } else { MIN_DIGITS };
         self.share >= MIN_SHARE && self.weight >= MIN_WEIGHT && self.lines.digits >= digits
     }
 
-    fn is_trusted(&self, searched: bool) -> bool {
-        let digits = if searched { TRUSTED_DIGITS_IF_SEARCHED } else { TRUSTED_DIGITS };
+    fn is_trusted(&self, searched: bool, more_digits: f64) -> bool {
+        let digits = more_digits + if searched { TRUSTED_DIGITS_IF_SEARCHED } else { TRUSTED_DIGITS };
         let both_ways = self.lines.share.min(self.lines.foremost) * self.explained;
         let faint = BOTH_WAYS_LESS_PER_PX * self.lines.fainter_px();
         self.lines.digits >= digits && both_ways >= TRUSTED_BOTH_WAYS - faint
@@ -392,7 +509,9 @@ mod tests {
     fn found(x: f64, y: f64, yaw: f64, log_likelihood: f64) -> PoseHypothesis {
         let lines = Agreement { digits: 60.0, share: 0.9, foremost: 0.9, ..Agreement::default() };
         let map_from_link = Pose2::new(x, y, yaw).to_isometry();
-        PoseHypothesis { map_from_link, refined: true, lines, explained: 0.9, share: 0.9, weight: 30.0, log_likelihood }
+        let sigmas = Some(PoseSigmas { xy_m: 0.01, z_m: 0.005, rotation_rad: 0.002 });
+        let (share, weight) = (0.9, 30.0);
+        PoseHypothesis { map_from_link, sigmas, refined: true, lines, explained: 0.9, share, weight, log_likelihood }
     }
 
     #[test]
@@ -404,7 +523,9 @@ mod tests {
 
     #[test]
     fn a_fit_needs_contrast_line_digits_and_no_rival() {
-        let fit = |found: &[PoseHypothesis], searched| ImageLocation { found: found.to_vec(), searched }.fit();
+        let fit = |found: &[PoseHypothesis], searched| {
+            ImageLocation { found: found.to_vec(), searched, mount_is_known: true }.fit()
+        };
         let best = found(1.0, 1.0, 0.0, 9.0);
         assert_eq!(fit(&[], true), FitQuality::None);
         assert_eq!(fit(&[best], true), FitQuality::Good);
@@ -423,6 +544,21 @@ mod tests {
             FitQuality::Doubtful,
             "lines that the field does not have"
         );
+    }
+
+    #[test]
+    fn an_unknown_mount_needs_one_solution_that_the_lines_determine() {
+        let fit = |found: &[PoseHypothesis]| {
+            ImageLocation { found: found.to_vec(), searched: true, mount_is_known: false }.fit()
+        };
+        let best = found(1.0, 1.0, 0.0, 9.0);
+        assert_eq!(fit(&[best]), FitQuality::Good);
+        assert_eq!(fit(&[best, found(2.0, 1.0, 0.0, 8.5)]), FitQuality::None, "two solutions differ");
+        for sigmas in [None, Some(PoseSigmas { z_m: 0.2, ..MAX_SIGMAS })] {
+            assert_eq!(fit(&[PoseHypothesis { sigmas, ..best }]), FitQuality::None, "{sigmas:?}");
+        }
+        let lines = Agreement { digits: 9.0, ..best.lines };
+        assert_eq!(fit(&[PoseHypothesis { lines, ..best }]), FitQuality::None, "by chance");
     }
 
     #[test]

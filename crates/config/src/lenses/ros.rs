@@ -88,3 +88,34 @@ pub(super) fn intrinsics(matrix_key: &str, matrix: &[f64]) -> Result<[f64; 4], L
     }
     Ok([fx, fy, cx, cy])
 }
+
+/// The text of a YAML file of camera_calibration with this lens.
+///
+/// ROS has no name for an equisolid lens: the file calls it `equisolid`, which only this program reads. It does not hold the angle
+/// of view.
+pub fn camera_calibration_yaml(lens: &LensParameters) -> String {
+    let (model, d) = lens.model.ros_distortion();
+    let LensParameters { width, height, fx, fy, cx, cy, .. } = *lens;
+    let k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
+    format!(
+        "image_width: {width}\nimage_height: {height}\ncamera_name: camera\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: {k:?}\n\
+         distortion_model: {model}\ndistortion_coefficients:\n  rows: 1\n  cols: {}\n  data: {d:?}\n",
+        d.len()
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{lens_names, load_lens};
+    use super::*;
+
+    #[test]
+    fn a_lens_that_is_written_is_read_as_the_same() {
+        for name in lens_names() {
+            let lens = load_lens(&name).expect("shipped").lens;
+            let again = read(&camera_calibration_yaml(lens.parameters())).expect(&name).parameters;
+            let written = LensParameters { fov_deg: None, ..lens.parameters().clone() };
+            assert_eq!(again, written, "{name}");
+        }
+    }
+}

@@ -130,6 +130,24 @@ impl LensModel {
     }
 }
 
+impl LensModel {
+    /// The name of the model and its coefficients as `sensor_msgs/CameraInfo` and camera_calibration state them.
+    ///
+    /// ROS names `equidistant`, `plumb_bob` and `rational_polynomial`; the other names are this program's own.
+    pub fn ros_distortion(&self) -> (&'static str, Vec<f64>) {
+        match *self {
+            Self::KannalaBrandt { k } => ("equidistant", k.to_vec()),
+            Self::Equisolid => ("equisolid", Vec::new()),
+            Self::PlumbBob { d } => ("plumb_bob", d.to_vec()),
+            Self::RationalPolynomial { d } => ("rational_polynomial", d.to_vec()),
+            Self::ThinPrism { d } => ("rational_polynomial", d.to_vec()),
+            Self::DoubleSphere { xi, alpha } => ("double_sphere", vec![xi, alpha]),
+            Self::Eucm { alpha, beta } => ("eucm", vec![alpha, beta]),
+            Self::Scaramuzza { c: [c2, c3, c4, c5, c6], skew } => ("scaramuzza", vec![c2, c3, c4, c5, c6, skew]),
+        }
+    }
+}
+
 impl LensParameters {
     /// The parameters for the same lens when its images are scaled to another size, `[width, height]` in pixels.
     ///

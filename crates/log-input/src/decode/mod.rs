@@ -161,6 +161,19 @@ pub fn compressed(data: &[u8]) -> Result<Picture, DecodeError> {
     compressed_if(data, &accept_any_possible)
 }
 
+/// Returns width and height of a JPEG or PNG by its header, pixels, without decoding it.
+pub fn dimensions(data: &[u8]) -> Result<[usize; 2], DecodeError> {
+    if data.starts_with(&[0xff, 0xd8]) {
+        let (_, size) = jpeg_header(data)?;
+        Ok(size)
+    } else if data.starts_with(b"\x89PNG") {
+        let (width, height) = png_header(data)?.dimensions();
+        Ok([width as usize, height as usize])
+    } else {
+        Err(DecodeError::Format(FileKind::of(&data[..data.len().min(START_BYTES)])))
+    }
+}
+
 fn compressed_if(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
     if data.starts_with(&[0xff, 0xd8]) {
         jpeg(data, accept)
@@ -173,34 +186,42 @@ fn compressed_if(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
 
 /// Decodes a JPEG into luma and chroma as the file holds them, which saves the conversion to RGB and back.
 fn jpeg(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
-    // Some messages of the decoder end in a newline.
-    let bad = |message: String| DecodeError::Jpeg(message.trim_end().to_owned());
+    let (mut decoder, [width, height]) = jpeg_header(data)?;
+    accept([width, height])?;
+    let gray = decoder.input_colorspace() == Some(ColorSpace::Luma);
+    let wanted = if gray { ColorSpace::Luma } else { ColorSpace::YCbCr };
+    decoder.set_options(decoder.options().jpeg_set_out_colorspace(wanted));
+    let pixels = decoder.decode().map_err(|error| bad_jpeg(&error.to_string()))?;
+    let picture =
+        if gray { Picture::from_gray(width, height, pixels) } else { Picture::from_ycbcr(width, height, &pixels) };
+    picture.ok_or_else(|| bad_jpeg("its pixels do not fit its size"))
+}
+
+/// A decoder of a JPEG in memory.
+type JpegReader<'a> = JpegDecoder<ZCursor<&'a [u8]>>;
+
+/// A decoder that has read the headers of a JPEG, with width and height.
+fn jpeg_header(data: &[u8]) -> Result<(JpegReader<'_>, [usize; 2]), DecodeError> {
     let limits = DecoderOptions::default()
         .set_max_width(MAX_SIDE as usize)
         .set_max_height(MAX_SIDE as usize)
         // A truncated image is refused instead of being filled up with gray.
         .set_strict_mode(true);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), limits);
-    decoder.decode_headers().map_err(|error| bad(error.to_string()))?;
-    let (width, height) = decoder.dimensions().ok_or_else(|| bad("no size".to_owned()))?;
-    accept([width, height])?;
-    let gray = decoder.input_colorspace() == Some(ColorSpace::Luma);
-    let wanted = if gray { ColorSpace::Luma } else { ColorSpace::YCbCr };
-    decoder.set_options(decoder.options().jpeg_set_out_colorspace(wanted));
-    let pixels = decoder.decode().map_err(|error| bad(error.to_string()))?;
-    let picture =
-        if gray { Picture::from_gray(width, height, pixels) } else { Picture::from_ycbcr(width, height, &pixels) };
-    picture.ok_or_else(|| bad("its pixels do not fit its size".to_owned()))
+    decoder.decode_headers().map_err(|error| bad_jpeg(&error.to_string()))?;
+    let (width, height) = decoder.dimensions().ok_or_else(|| bad_jpeg("no size"))?;
+    Ok((decoder, [width, height]))
+}
+
+/// Some messages of the decoder end in a newline.
+fn bad_jpeg(message: &str) -> DecodeError {
+    DecodeError::Jpeg(message.trim_end().to_owned())
 }
 
 /// Decodes a PNG, gray or in colour.
 fn png(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
-    let mut reader = image::ImageReader::with_format(std::io::Cursor::new(data), image::ImageFormat::Png);
-    let mut limits = image::Limits::default();
-    (limits.max_image_width, limits.max_image_height) = (Some(MAX_SIDE), Some(MAX_SIDE));
-    let bytes_allowed = limits.max_alloc;
-    reader.limits(limits);
-    let decoder = reader.into_decoder().map_err(DecodeError::Png)?;
+    let bytes_allowed = png_limits().max_alloc;
+    let decoder = png_header(data)?;
     let (width, height) = decoder.dimensions();
     let (width, height) = (width as usize, height as usize);
     accept([width, height])?;
@@ -222,6 +243,19 @@ fn png(data: &[u8], accept: Accept) -> Result<Picture, DecodeError> {
         step: 0,
         bytes: 0,
     })
+}
+
+/// A decoder that has read the header of a PNG.
+fn png_header(data: &[u8]) -> Result<impl ImageDecoder, DecodeError> {
+    let mut reader = image::ImageReader::with_format(std::io::Cursor::new(data), image::ImageFormat::Png);
+    reader.limits(png_limits());
+    reader.into_decoder().map_err(DecodeError::Png)
+}
+
+fn png_limits() -> image::Limits {
+    let mut limits = image::Limits::default();
+    (limits.max_image_width, limits.max_image_height) = (Some(MAX_SIDE), Some(MAX_SIDE));
+    limits
 }
 
 #[cfg(test)]

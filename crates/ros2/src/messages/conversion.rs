@@ -8,7 +8,7 @@ use glam::{DQuat, DVec3};
 
 use super::{CameraInfo, Header, Point, Pose, Quaternion, Stamp, Transform, Vector3};
 use realitysim_geometry::physical::settled;
-use realitysim_geometry::{Isometry, LensModel, LensParameters, Physical};
+use realitysim_geometry::{Isometry, LensParameters, Physical};
 
 impl Header {
     /// Makes a header; `stamp_ns` is nanoseconds since the epoch of the clock that stamps the log.
@@ -97,16 +97,7 @@ impl CameraInfo {
     /// `double_sphere` (xi, alpha), `eucm` (alpha, beta) and `scaramuzza` (c2 to c6, skew), which only this program reads. Thin prism terms follow those of
     /// `rational_polynomial`, as OpenCV orders them.
     pub fn of_lens(lens: &LensParameters, header: Header) -> Self {
-        let (distortion_model, d) = match lens.model {
-            LensModel::KannalaBrandt { k } => ("equidistant", k.to_vec()),
-            LensModel::Equisolid => ("equisolid", Vec::new()),
-            LensModel::PlumbBob { d } => ("plumb_bob", d.to_vec()),
-            LensModel::RationalPolynomial { d } => ("rational_polynomial", d.to_vec()),
-            LensModel::ThinPrism { d } => ("rational_polynomial", d.to_vec()),
-            LensModel::DoubleSphere { xi, alpha } => ("double_sphere", vec![xi, alpha]),
-            LensModel::Eucm { alpha, beta } => ("eucm", vec![alpha, beta]),
-            LensModel::Scaramuzza { c: [c2, c3, c4, c5, c6], skew } => ("scaramuzza", vec![c2, c3, c4, c5, c6, skew]),
-        };
+        let (distortion_model, d) = lens.model.ros_distortion();
         let LensParameters { width, height, fx, fy, cx, cy, .. } = *lens;
         Self {
             header,

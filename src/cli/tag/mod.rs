@@ -1,4 +1,6 @@
-//! Command `realitysim tag`: finds the pose of a single image.
+//! Command `realitysim tag`: finds the pose of single images.
+
+mod many;
 
 use std::path::{Path, PathBuf};
 
@@ -13,25 +15,31 @@ use super::values::any_whole;
 use super::{Outcome, output};
 use crate::config::{field_names, load_field_of_size};
 use crate::evaluation::drawing;
-use crate::geometry::{Field, Pose2};
-use crate::tagging::single_image::{FitQuality, ImageLocation, Look, PoseHypothesis};
+use crate::geometry::{Field, Lens, Pose2};
+use crate::tagging::single_image::{FitQuality, ImageLocation, PoseHypothesis};
+use crate::vision::Picture;
 
-/// Find the pose of a single image
+/// Find the pose of single images
 ///
 /// Lens and height are known, and the tilt to about two degrees; where the camera stood, which way it looked and how it
 /// was tilted is found from the field lines: over the whole field, or near --initial. A field looks the same from both
 /// goals: the mirror pose (-x, -y, yaw + 180) explains the image as well. Without --field all shipped fields are tried.
 ///
+/// Without --attitude or --height these are found from the lines, too, which takes longer and needs more lines in view.
+///
 /// The fit is good, doubtful (it leaves much unexplained, or a pose elsewhere explains the image nearly as well) or none: no pose
-/// found, exit code 1.
+/// found. Exit code 1 if no image has a pose. Of a folder or several images --sheet shows all, the most doubtful first, and --poses writes
+/// those that are good for `realitysim db add`.
 #[derive(Args)]
 #[command(after_long_help = concat!(
-    "Example:",
+    "Examples:",
     "\n  realitysim tag photo.jpg --lens camera.yaml --attitude 0,25 --height 0.55 --overlay out.png",
+    "\n  realitysim tag frames/ --lens camera.yaml --attitude-csv tilts.csv --field kid-2020 --sheet sheet.png --poses frames/poses.csv",
 ))]
 pub struct TagArguments {
-    /// A JPEG or PNG
-    image: PathBuf,
+    /// JPEGs and PNGs, or folders of them
+    #[arg(required = true, value_name = "IMAGE|FOLDER")]
+    images: Vec<PathBuf>,
     /// Lens file (of ROS, OpenCV, Kalibr, OCamCalib, mrcal, VisualMesh or this program), shipped camera, or equidistant:180deg
     #[arg(long, value_name = "FILE")]
     lens: String,
@@ -49,9 +57,18 @@ pub struct TagArguments {
     /// PNG of the image's size whose dark pixels hide the robot's own body
     #[arg(long, value_name = "PNG")]
     body_mask: Option<String>,
-    /// Write the image with the projected lines
+    /// Write the image with the projected lines; of one image
     #[arg(long, value_name = "PNG")]
     overlay: Option<PathBuf>,
+    /// What is known of each image: image, and roll_deg,pitch_deg, height, or x,y,yaw_deg (about where it was taken)
+    #[arg(long, value_name = "CSV")]
+    attitude_csv: Option<PathBuf>,
+    /// Write a page of all images with the projected lines, the most doubtful first
+    #[arg(long, value_name = "PNG")]
+    sheet: Option<PathBuf>,
+    /// Write the poses that are good, with standard deviations, as `db add` reads them: into the folder of the images
+    #[arg(long, value_name = "CSV")]
+    poses: Option<PathBuf>,
     /// Seed of all random numbers
     #[arg(long, value_name = "S", default_value_t = 1, value_parser = any_whole::<u64>)]
     seed: u64,
@@ -62,6 +79,7 @@ const LINE_COLOUR: [u8; 3] = [230, 30, 60];
 
 #[derive(Serialize)]
 struct Report {
+    image: PathBuf,
     field: String,
     fit: FitQuality,
     /// Pose of `camera_link` in `map`; null without any line in view.
@@ -71,6 +89,9 @@ struct Report {
     roll_deg: f64,
     pitch_deg: f64,
     z: f64,
+    /// Standard deviations of the best pose; null if it is not refined.
+    sigma_xy_m: Option<f64>,
+    sigma_rotation_deg: Option<f64>,
     /// Second best pose on the same field.
     next: Option<Explanation>,
     /// Best pose on each field that was tried.
@@ -133,54 +154,77 @@ struct FieldResult {
 }
 
 pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
-    let shown = || arguments.image.display().to_string();
-    if let Some(overlay) = &arguments.overlay {
-        check_output(overlay, &inputs(arguments))?;
+    let named = inputs(arguments);
+    let inputs: Vec<&Path> = named.iter().map(PathBuf::as_path).collect();
+    for output in [&arguments.overlay, &arguments.sheet, &arguments.poses].into_iter().flatten() {
+        check_output(output, &inputs)?;
     }
-    let beside =
-        OtherInputs { lens: &arguments.lens, body_mask: arguments.body_mask.as_deref(), initial: arguments.initial };
-    let (picture, known) = arguments.photo.open(&arguments.image, &beside)?;
-    let fields = fields(arguments)?;
-    // What a picture shows depends on how wide its lines are, and most fields share a width.
-    let mut looks: Vec<(f64, Look)> = Vec::new();
-    let locate = |(name, field): (String, Field)| {
-        let width_m = field.line_width();
-        let known_width = looks.iter().position(|(other_m, _)| *other_m == width_m);
-        let index = known_width.unwrap_or_else(|| {
-            looks.push((width_m, known.look(&picture, width_m)));
-            looks.len() - 1
-        });
-        let located = known.locate(&looks[index].1, &field, arguments.seed);
-        (name, field, located)
-    };
-    let mut results: Vec<(String, Field, ImageLocation)> = fields.into_iter().map(locate).collect();
+    match &arguments.images[..] {
+        [image] if !image.is_dir() && many::arguments_given(arguments).is_none() => run_one(arguments, image, json),
+        _ => many::run(arguments, json),
+    }
+}
+
+/// The best poses of an image.
+struct Tagged {
+    lens: Lens,
+    field: Field,
+    located: ImageLocation,
+    report: Report,
+}
+
+/// Finds the pose of one image. `initial` and `photo` are what is known of it.
+fn tag(
+    arguments: &TagArguments,
+    photo: &PhotoArguments,
+    image: &Path,
+    initial: Option<Pose2>,
+) -> anyhow::Result<(Picture, Tagged)> {
+    let beside = OtherInputs { lens: &arguments.lens, body_mask: arguments.body_mask.as_deref(), initial };
+    let (picture, camera) = photo.open_any(image, &beside)?;
+    let fields = fields(arguments, initial)?;
+    let mut results = camera.locate(&picture, &fields, arguments.seed);
     let score = |located: &ImageLocation| located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
     // Wide lines are seen farther away, so that log likelihoods on fields with other lines compare only roughly.
     results.sort_by(|a, b| a.2.fit().cmp(&b.2.fit()).then(score(&b.2).total_cmp(&score(&a.2))));
-    let Some((name, field, located)) = results.first() else { anyhow::bail!("{}: no field to try", shown()) };
+    let Some((name, field, located)) = results.first() else { anyhow::bail!("{}: no field to try", image.display()) };
     let best = located.found.first();
-    if let (Some(path), Some(best)) = (&arguments.overlay, best) {
-        let rgb = photo::rgb(&picture).with_context(shown)?;
-        save(&drawing::overlay(&rgb, &known.lens, &best.map_from_link, field, LINE_COLOUR), path)?;
-    }
-    let tilt = best.map_or(known.attitude, |best| best.map_from_link.euler());
+    let tilt = best.map(|best| best.map_from_link.euler());
+    let sigmas = best.and_then(|best| best.sigmas);
     let report = Report {
-        field: name.clone(),
+        image: image.to_owned(),
+        field: (*name).to_owned(),
         fit: located.fit(),
         best: best.map(Explanation::of),
         mirror: best.map(|best| Pose::of(&best.place().mirrored())),
-        roll_deg: tilt.roll.to_degrees(),
-        pitch_deg: tilt.pitch.to_degrees(),
-        z: best.map_or(known.height_m, |best| best.map_from_link.translation.z),
+        roll_deg: tilt.map_or(0.0, |tilt| tilt.roll.to_degrees()),
+        pitch_deg: tilt.map_or(0.0, |tilt| tilt.pitch.to_degrees()),
+        z: best.map_or(0.0, |best| best.map_from_link.translation.z),
+        sigma_xy_m: sigmas.map(|sigmas| sigmas.xy_m),
+        sigma_rotation_deg: sigmas.map(|sigmas| sigmas.rotation_rad.to_degrees()),
         next: located.found.get(1).map(Explanation::of),
         fields: results
             .iter()
             .filter_map(|(field, _, located)| {
                 let PoseHypothesis { log_likelihood, share, .. } = *located.found.first()?;
-                Some(FieldResult { field: field.clone(), log_likelihood, share })
+                Some(FieldResult { field: (*field).to_owned(), log_likelihood, share })
             })
             .collect(),
     };
+    let (field, located) = ((*field).clone(), located.clone());
+    let lens = camera.lens().clone();
+    Ok((picture, Tagged { lens, field, located, report }))
+}
+
+fn run_one(arguments: &TagArguments, image: &Path, json: bool) -> anyhow::Result<Outcome> {
+    let shown = || image.display().to_string();
+    let (picture, tagged) = tag(arguments, &arguments.photo, image, arguments.initial)?;
+    let Tagged { lens, field, located, report } = tagged;
+    let best = located.found.first();
+    if let (Some(path), Some(best)) = (&arguments.overlay, best) {
+        let rgb = photo::rgb(&picture).with_context(shown)?;
+        save(&drawing::overlay(&rgb, &lens, &best.map_from_link, &field, LINE_COLOUR), path)?;
+    }
     if json {
         output::json(&report)?
     } else if report.fit != FitQuality::None
@@ -189,26 +233,27 @@ pub fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcome> {
         output::lines(&text)?
     }
     match report.fit {
-        FitQuality::None => anyhow::bail!("{}: no pose found: {}", shown(), photo::explain_no_pose(best)),
+        FitQuality::None => anyhow::bail!("{}: no pose found: {}", shown(), photo::explain_no_pose(Some(&located))),
         FitQuality::Good | FitQuality::Doubtful => Ok(Outcome::Whole),
     }
 }
 
-/// All files that are read, over which the overlay must not be written.
-fn inputs(arguments: &TagArguments) -> Vec<&Path> {
+/// All files that are read, over which nothing must be written. Poses may be written into the folder of the images.
+fn inputs(arguments: &TagArguments) -> Vec<PathBuf> {
     let named = [Some(&arguments.lens), arguments.body_mask.as_ref(), arguments.field.as_ref()];
-    let named = named.into_iter().flatten().map(Path::new);
-    named.chain([arguments.image.as_path()]).collect()
+    let named = named.into_iter().flatten().map(PathBuf::from);
+    let images = arguments.images.iter().filter(|image| !image.is_dir()).cloned();
+    named.chain(images).chain(arguments.attitude_csv.clone()).collect()
 }
 
-/// Fields to try. With --initial, only those that have that pose on or near their carpet.
-fn fields(arguments: &TagArguments) -> anyhow::Result<Vec<(String, Field)>> {
+/// Fields to try. With an initial pose, only those that have it on or near their carpet.
+fn fields(arguments: &TagArguments, initial: Option<Pose2>) -> anyhow::Result<Vec<(String, Field)>> {
     let names = arguments.field.clone().map_or_else(field_names, |name| vec![name]);
     let mut fields = Vec::new();
     let mut refused = None;
     for name in names {
         let field = Field::new(load_field_of_size(&name, arguments.field_size)?)?;
-        match arguments.initial.map_or(Ok(()), |initial| check_initial(&initial, &name, &field)) {
+        match initial.map_or(Ok(()), |initial| check_initial(&initial, &name, &field)) {
             Ok(()) => fields.push((name, field)),
             Err(error) => refused = Some(error),
         }
