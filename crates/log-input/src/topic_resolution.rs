@@ -14,20 +14,14 @@ pub type TopicTypes = BTreeMap<String, BTreeSet<String>>;
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum TopicError {
     /// The topic of a measurement is missing, and not exactly one other has the right type.
-    #[error("no {what} on {wanted}: {}{}", hint(types, candidates, key), hint_of_unread(unread))]
+    #[error("no {what} on {wanted}: {hint}")]
     Missing {
         /// The measurement, in words.
         what: &'static str,
         /// The configured topic.
         wanted: String,
-        /// The types that it may have, in words.
-        types: &'static str,
-        /// The topics of the log that have such a type.
-        candidates: Vec<String>,
-        /// The key under `topics` in the settings that chooses one.
-        key: &'static str,
-        /// The topics of the log with Foxglove's messages in a form that is not read, each with its type.
-        unread: Vec<String>,
+        /// How to choose a topic, or what the log lacks, in words.
+        hint: String,
     },
     /// The log has no odometry, and the settings do not say that it goes without.
     #[error(
@@ -40,10 +34,10 @@ pub enum TopicError {
     },
 }
 
-/// Says how to choose among the candidates.
-fn hint(types: &str, candidates: &[String], key: &str) -> String {
+/// Says how to choose among the candidates, or what a log without any lacks; `types` are the types that would do, in words.
+fn hint(log: &TopicTypes, types: &str, candidates: &[String], key: &str) -> String {
     match candidates {
-        [] => format!("the log has no topic of type {types}"),
+        [] => format!("the log has no topic of type {types}{}", hint_of_unread(log)),
         _ => format!("choose one with topics.{key}: {}", candidates.join(", ")),
     }
 }
@@ -53,15 +47,11 @@ pub(crate) const FOXGLOVE_PACKAGE: &str = "foxglove.";
 /// Largest number of topics that an error lists as not read.
 const MAX_UNREAD: usize = 5;
 
-/// Returns the topics with Foxglove's messages that are not read, as `TOPIC (TYPE in ENCODING)`.
-fn unread(log: &TopicTypes) -> Vec<String> {
+/// Names the topics with Foxglove's messages that are not read, and says which would be; empty without such topics.
+fn hint_of_unread(log: &TopicTypes) -> String {
     let all = log.iter().flat_map(|(topic, kinds)| kinds.iter().map(move |kind| (topic, kind)));
-    let unread = all.filter(|(_, kind)| kind.starts_with(FOXGLOVE_PACKAGE));
-    unread.map(|(topic, kind)| format!("{topic} ({kind})")).take(MAX_UNREAD).collect()
-}
-
-/// Says what of a log is not read, and what would be.
-fn hint_of_unread(unread: &[String]) -> String {
+    let unread = all.filter(|(_, kind)| kind.starts_with(FOXGLOVE_PACKAGE)).take(MAX_UNREAD);
+    let unread: Vec<String> = unread.map(|(topic, kind)| format!("{topic} ({kind})")).collect();
     if unread.is_empty() {
         return String::new();
     }
@@ -86,10 +76,12 @@ pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> R
             return Err(TopicError::Missing {
                 what: "camera calibration",
                 wanted: settings.topics.camera_info.clone(),
-                types: "sensor_msgs/msg/CameraInfo (or give a lens file with camera.lens)",
-                candidates,
-                key: "camera_info",
-                unread: unread(log),
+                hint: hint(
+                    log,
+                    "sensor_msgs/msg/CameraInfo (or give a lens file with camera.lens)",
+                    &candidates,
+                    "camera_info",
+                ),
             });
         }
     }
@@ -103,10 +95,7 @@ pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> R
             return Err(TopicError::Missing {
                 what: "transforms",
                 wanted: settings.topics.tf_static.clone(),
-                types: TRANSFORMS[0],
-                candidates,
-                key: "tf_static",
-                unread: unread(log),
+                hint: hint(log, TRANSFORMS[0], &candidates, "tf_static"),
             });
         }
     }
@@ -123,10 +112,7 @@ pub fn resolve(settings: &Settings, log: &TopicTypes, odometry_in_tf: bool) -> R
             return Err(TopicError::Missing {
                 what: "odometry",
                 wanted: settings.topics.odometry.clone(),
-                types: "nav_msgs/msg/Odometry",
-                candidates,
-                key: "odometry",
-                unread: unread(log),
+                hint: hint(log, "nav_msgs/msg/Odometry", &candidates, "odometry"),
             });
         }
     }
@@ -138,10 +124,7 @@ pub fn image(wanted: &str, log: &TopicTypes) -> Result<String, TopicError> {
     find(log, wanted, &IMAGES).map_err(|candidates| TopicError::Missing {
         what: "camera images",
         wanted: wanted.to_owned(),
-        types: "sensor_msgs/msg/CompressedImage or Image",
-        candidates,
-        key: "image",
-        unread: unread(log),
+        hint: hint(log, "sensor_msgs/msg/CompressedImage or Image", &candidates, "image"),
     })
 }
 
