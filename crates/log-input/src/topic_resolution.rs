@@ -93,7 +93,7 @@ impl fmt::Display for TopicChoice {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum TopicError {
     /// The topic of a measurement is missing, and not exactly one other has the right type.
-    #[error("no {} on {wanted}{}: {}{}", needed.what, instead(found), hint(needed, candidates), hint_of_unread(unread))]
+    #[error("no {} on {wanted}{}: {hint}", needed.what, instead(found))]
     Missing {
         /// The measurement.
         needed: &'static NeededTopic,
@@ -101,10 +101,8 @@ pub enum TopicError {
         wanted: String,
         /// The types that the configured topic has instead, if the log has it.
         found: Vec<String>,
-        /// The topics of the log that have a right type.
-        candidates: Vec<String>,
-        /// The topics of the log with Foxglove's messages in a form that is not read, each with its type.
-        unread: Vec<String>,
+        /// How to choose a topic, or what the log lacks, in words.
+        hint: String,
     },
     /// The log has no odometry, and the settings do not say that it goes without.
     #[error(
@@ -155,11 +153,11 @@ fn named(candidates: &[String]) -> String {
     if candidates.is_empty() { String::new() } else { format!(" (is it {}?)", candidates.join(" or ")) }
 }
 
-/// Says how to choose among the candidates.
-fn hint(needed: &NeededTopic, candidates: &[String]) -> String {
+/// Says how to choose among the candidates, or what a log without any lacks.
+fn hint(log: &TopicTypes, needed: &NeededTopic, candidates: &[String]) -> String {
     let NeededTopic { types, key, .. } = needed;
     match candidates {
-        [] => format!("the log has no topic of type {types}"),
+        [] => format!("the log has no topic of type {types}{}", hint_of_unread(log)),
         _ => format!("choose one with topics.{key}: {}", candidates.join(", ")),
     }
 }
@@ -169,15 +167,11 @@ pub(crate) const FOXGLOVE_PACKAGE: &str = "foxglove.";
 /// Largest number of topics that an error lists as not read.
 const MAX_UNREAD: usize = 5;
 
-/// Returns the topics with Foxglove's messages that are not read, as `TOPIC (TYPE in ENCODING)`.
-fn unread(log: &TopicTypes) -> Vec<String> {
+/// Names the topics with Foxglove's messages that are not read, and says which would be; empty without such topics.
+fn hint_of_unread(log: &TopicTypes) -> String {
     let all = log.iter().flat_map(|(topic, kinds)| kinds.iter().map(move |kind| (topic, kind)));
-    let unread = all.filter(|(_, kind)| kind.starts_with(FOXGLOVE_PACKAGE));
-    unread.map(|(topic, kind)| format!("{topic} ({kind})")).take(MAX_UNREAD).collect()
-}
-
-/// Says what of a log is not read, and what would be.
-fn hint_of_unread(unread: &[String]) -> String {
+    let unread = all.filter(|(_, kind)| kind.starts_with(FOXGLOVE_PACKAGE)).take(MAX_UNREAD);
+    let unread: Vec<String> = unread.map(|(topic, kind)| format!("{topic} ({kind})")).collect();
     if unread.is_empty() {
         return String::new();
     }
@@ -280,8 +274,7 @@ impl Resolver<'_> {
                 needed: &NEEDED_CALIBRATION,
                 found: self.types_of(&wanted),
                 wanted,
-                candidates,
-                unread: unread(self.log),
+                hint: hint(self.log, &NEEDED_CALIBRATION, &candidates),
             }),
         }
     }
@@ -329,8 +322,7 @@ impl Resolver<'_> {
                 needed: &NEEDED_ODOMETRY,
                 found: self.types_of(&wanted),
                 wanted,
-                candidates,
-                unread: unread(self.log),
+                hint: hint(self.log, &NEEDED_ODOMETRY, &candidates),
             }),
         }
     }
@@ -384,8 +376,7 @@ impl Resolver<'_> {
                 needed: &NEEDED_TRANSFORMS,
                 found: self.types_of(&wanted),
                 wanted,
-                candidates,
-                unread: unread(self.log),
+                hint: hint(self.log, &NEEDED_TRANSFORMS, &candidates),
             }),
         }
     }
@@ -418,8 +409,7 @@ fn choose_image(
         needed: &NEEDED_IMAGE,
         wanted: wanted.to_owned(),
         found: types_of(log, wanted),
-        candidates,
-        unread: unread(log),
+        hint: hint(log, &NEEDED_IMAGE, &candidates),
     })
 }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use mcap::{Compression, WriteOptions};
 use realitysim::config::Settings;
+use realitysim::log_input::foxglove::FoxgloveType;
 use realitysim::ros2::messages::Stamp;
 use realitysim::ros2::{Channel, LogMessage};
 
@@ -187,7 +188,12 @@ impl Damage<'_> {
                     0 => channel.topic = draw.one_of(&known).clone(),
                     1 => {
                         channel.type_name =
-                            (*draw.one_of(&["", "sensor_msgs/msg/Imu", "sensor_msgs/Imu", "x"])).to_owned()
+                            (*draw.one_of(&["", "sensor_msgs/msg/Imu", "sensor_msgs/Imu", "x", "foxglove."]))
+                                .to_owned();
+                        if channel.type_name == "foxglove." {
+                            channel.type_name = draw.one_of(&FoxgloveType::ALL).name().to_owned();
+                            channel.message_encoding = "protobuf".to_owned();
+                        }
                     }
                     2 => channel.message_encoding = (*draw.one_of(&["", "json", "cdr"])).to_owned(),
                     3 => channel.definition = draw.bytes(40).into(),

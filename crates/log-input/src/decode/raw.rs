@@ -100,10 +100,10 @@ impl PixelLayout {
     /// Returns what would be right if pixels that share their chroma do not make up an image of this size.
     fn needs(self, width: usize, height: usize) -> Option<&'static str> {
         match self {
-            SharedByTwo { .. } if width % 2 != 0 => {
+            SharedByTwo { .. } if !width.is_multiple_of(2) => {
                 Some("the width must be even, since two neighbours in a row share their chroma")
             }
-            TwoPlanes { .. } if (width | height) % 2 != 0 => {
+            TwoPlanes { .. } if !(width | height).is_multiple_of(2) => {
                 Some("width and height must be even, since 2 x 2 pixels share their chroma")
             }
             _ => None,

@@ -88,7 +88,7 @@ fn transforms_and_poses_say_the_same_in_ros() {
         },
     };
     let one: TFMessage = converted(FoxgloveType::FrameTransform, &transform);
-    assert_eq!(one.transforms, [expected.clone()]);
+    assert_eq!(one.transforms, std::slice::from_ref(&expected));
     let twice = schemas::FrameTransforms { transforms: vec![transform.clone(), transform] };
     let two: TFMessage = converted(FoxgloveType::FrameTransforms, &twice);
     assert_eq!(two.transforms, [expected.clone(), expected]);
