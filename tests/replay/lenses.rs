@@ -95,8 +95,8 @@ fn an_angle_of_view_is_a_lens_for_the_log_s_first_image() {
     assert!((lens["fx"].as_f64().unwrap() - focal).abs() < 1e-9 && lens["cx"] == 159.5, "{lens}");
     assert_eq!(replayed.tags.len(), walk().frames());
     room.run("replay log.mcap -o captures --lens equidistant:400deg")
-        .fails(1, &["equidistant:400deg", "full horizontal field of view"]);
-    room.run("replay log.mcap -o captures --lens pinhole:90").fails(1, &["pinhole:90", "as in 120deg"]);
+        .fails(2, &["equidistant:400deg", "full horizontal field of view"]);
+    room.run("replay log.mcap -o captures --lens pinhole:90").fails(2, &["pinhole:90", "as in 120deg"]);
 }
 
 #[test]
@@ -113,6 +113,6 @@ fn a_photo_scaled_from_the_lens_s_size_is_tagged_with_a_warning() {
     assert!(scaled.stderr.contains(expected), "{scaled:?}");
     room.write("wide.toml", LENS.replace("height = 240", "height = 180"));
     room.run(&format!("{known} wide.toml"))
-        .fails(1, &["the lens is for images of 320 x 180, but the image has 320 x 240"]);
+        .fails(2, &["the lens is for images of 320 x 180, but the image has 320 x 240"]);
     room.run(&format!("{known} pinhole:100deg"));
 }

@@ -6,7 +6,8 @@ use realitysim_geometry::LensModel;
 /// A file of tests/data/lenses.
 fn example(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/lenses").join(name);
-    std::fs::read_to_string(path).expect("an example")
+    let bytes = crate::plain_file::read(&path, 1 << 20).expect("an example");
+    String::from_utf8(bytes).expect("text")
 }
 
 fn read(text: &str) -> Result<LensFile, String> {

@@ -103,7 +103,7 @@ fn the_new_models_refuse_what_they_cannot_draw() {
 fn a_double_sphere_lens_knows_its_pixels_per_radian() {
     let lens = Lens::new(parameters(LensModel::DoubleSphere { xi: 0.25, alpha: 0.5 })).expect("a good lens");
     let step = lens.project(ray(1e-6, 0.0)).expect("in view").x - lens.parameters().cx;
-    let across = lens.project(ray(1e-6, 1.570_796_326_794_896_6)).expect("in view").y - lens.parameters().cy;
+    let across = lens.project(ray(1e-6, core::f64::consts::FRAC_PI_2)).expect("in view").y - lens.parameters().cy;
     assert!(((step + across) / 2e-6 - lens.focal()).abs() < 1e-3, "{step} {across} {}", lens.focal());
 }
 
