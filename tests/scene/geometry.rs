@@ -195,8 +195,11 @@ fn a_corner_arc_is_where_the_lens_says_and_ends_at_the_lines() {
         let ray = map_from_optical.transform_vector(arc.lens.unproject(pixel).expect("in view"));
         assert!(ray.z < 0.0, "{pixel}");
         let ground = (pose.translation - ray * (pose.translation.z / ray.z)).truncate();
-        assert!(ground.x < 3.03 && ground.y < 2.03 && ground.x > 2.3 && ground.y > 1.3, "{pixel} {ground}");
-        inside += 1;
+        // The arcs of the other corners are seen too, farther away.
+        if ground.distance(DVec2::new(3.0, 2.0)) < 2.0 {
+            assert!(ground.x < 3.03 && ground.y < 2.03 && ground.x > 2.3 && ground.y > 1.3, "{pixel} {ground}");
+            inside += 1;
+        }
     }
     assert!(inside > 100, "{inside}");
 }
