@@ -470,3 +470,19 @@ fn raw_rates_and_accelerations_make_an_attitude_at_this_cost() {
     let warnings = made.report["warnings"].to_string();
     assert!(warnings.contains("/imu/data states no orientation: roll and pitch were made"), "{warnings}");
 }
+
+#[test]
+fn a_rectified_picture_is_seen_through_the_projection_matrix() {
+    let info = "/zed/zed_node/rgb/camera_info";
+    let log = bit_bots();
+    let as_image_proc = changed::<CameraInfo>(&log, info, |info| {
+        let [fx, _, cx, _, fy, cy, ..] = info.k;
+        info.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0];
+        // What the camera itself sees is distorted, and longer in focus.
+        info.d = vec![-0.3, 0.1, 0.001, -0.001, 0.0];
+        (info.k[0], info.k[4]) = (1.2 * fx, 1.2 * fy);
+    });
+    let expected = Room::with_log(&log).replay("log.mcap");
+    let found = Room::with_log(&as_image_proc).replay("log.mcap");
+    super::support::assert_same(&found.tags, &expected.tags, "a calibration of the camera itself");
+}
