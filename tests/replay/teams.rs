@@ -23,9 +23,9 @@ use super::support::{
 };
 
 /// Encoding of the pictures of Bit-Bots, whose ZED camera sends `bgra8`.
-const BIT_BOTS_ENCODING: &str = "rgb8";
+const BIT_BOTS_ENCODING: &str = "bgra8";
 /// Encoding of the pictures of HULKs, whose X5 camera sends `nv12`.
-const HULKS_ENCODING: &str = "rgb8";
+const HULKS_ENCODING: &str = "nv12";
 /// Largest share of tags that may be invalid.
 const VALID_SHARE: f64 = 0.95;
 

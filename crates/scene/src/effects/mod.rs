@@ -321,7 +321,7 @@ pub(super) fn check_in(file: &SceneFile) -> Result<(), SceneError> {
 /// Checks that no fault begins after `end`, the end of the scene in seconds.
 pub(super) fn check_times(effects: &[Effect], end: f64) -> Result<(), SceneError> {
     for (index, effect) in effects.iter().enumerate() {
-        if let Some((key, time)) = effect.kind().begins().into_iter().find(|(_, time)| !(*time < end)) {
+        if let Some((key, time)) = effect.kind().begins().into_iter().find(|(_, time)| *time >= end) {
             let expected = format!("below {end:.2} s, where the scene ends");
             return Err(refuse(format_args!("effect[{index}].{key}"), time, expected));
         }
