@@ -76,13 +76,15 @@ impl SettingsArguments {
 
     /// Like [`Self::resolve`], for a log or scene. A scene names its own field, so one on the command line is refused.
     pub fn resolve_for(&self, source: &Path) -> anyhow::Result<Settings> {
-        let is_given = [(self.field.is_some(), "field"), (self.field_size.is_some(), "field_size_m")]
-            .into_iter()
-            .any(|(is_given, key)| is_given || self.sets(key));
-        if is_given && InputSource::is_scene(source) {
+        let given = [
+            ("--field", self.field.is_some() || self.sets("field")),
+            ("--field-size", self.field_size.is_some() || self.sets("field_size_m")),
+        ];
+        let given = given.into_iter().find(|(_, is_given)| *is_given);
+        if let Some((option, _)) = given.filter(|_| InputSource::is_scene(source)) {
             let scene = source.display();
             return Err(UsageError(format!(
-                "--field and --field-size are of a log, and {scene} is a scene, which names its field itself: `field` in its [scene]; `realitysim sim` \
+                "{option} is of a log, and {scene} is a scene, which names its field itself: `field` in its [scene]; `realitysim sim` \
                  makes a log of it"
             ))
             .into());
