@@ -1,6 +1,7 @@
 //! A single image and the prior knowledge of how it was taken.
 
 use std::path::Path;
+use std::sync::Once;
 
 use anyhow::Context;
 use clap::Args;
@@ -142,7 +143,11 @@ impl PhotoArguments {
         let (width, height) = (picture.width as u32, picture.height as u32);
         let lens = load_lens_for_image(beside.lens, width, height).with_context(|| image.display().to_string())?;
         if let Some(stated) = lens.scaled_from {
-            eprintln!("realitysim: warning: {}", scaled_lens(beside.lens, stated, [width, height]));
+            // Many images have one lens.
+            static SAID: Once = Once::new();
+            SAID.call_once(|| {
+                eprintln!("realitysim: warning: {}", scaled_lens(beside.lens, stated, [width, height]));
+            });
         }
         let stated = lens.visual_mesh_pose.map(|pose| pose.world_from_camera_link);
         let attitude = self.attitude.or(stated.map(|pose| pose.euler()));

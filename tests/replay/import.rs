@@ -193,6 +193,7 @@ fn a_video_with_a_row_for_each_frame_is_the_same_walk() {
 #[test]
 fn what_cannot_be_imported_is_named() {
     let room = room();
+    room.write("low.toml", super::support::LENS.replace("height = 240", "height = 200"));
     let own = format!("import frames --stamps stamps.csv {TABLES}");
     room.write("log.txt", "not a log");
     room.write("degrees.csv", "stamp,roll,pitch\n1760000000.5,1,2\n");
@@ -225,9 +226,9 @@ fn what_cannot_be_imported_is_named() {
         ),
         (format!("import gone --rate 10 {base} -o x.mcap"), 1, &["gone", "there is no such file"]),
         (
-            format!("import frames --stamps stamps.csv --lens fisheye-640 {MOUNT} -o x.mcap"),
+            format!("import frames --stamps stamps.csv --lens low.toml {MOUNT} -o x.mcap"),
             2,
-            &["0.jpg is 320 x 240", "for images of 640 x 480"],
+            &["0.jpg is 320 x 240", "for images of 320 x 200"],
         ),
         (
             format!("import frames --stamps stamps.csv --imu degrees.csv --lens lens.toml {MOUNT} -o x.mcap"),

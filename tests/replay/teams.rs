@@ -295,7 +295,7 @@ fn choice<'a>(report: &'a Value, measurement: &str) -> (&'a str, &'a str) {
 #[test]
 fn a_log_of_bit_bots_is_tagged_as_it_is() {
     let room = Room::with_log(&bit_bots());
-    let replayed = replayed(&room, "");
+    let replayed = replayed(&room, "--field kid-2009");
     let report = &replayed.report;
     assert_eq!(choice(report, "image"), ("/zed/zed_node/rgb/image_rect_color", "only topic of this type"));
     assert_eq!(choice(report, "camera_info"), ("/zed/zed_node/rgb/camera_info", "beside the image topic"));

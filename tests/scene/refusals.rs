@@ -237,7 +237,7 @@ fn unknown_effects_fields_and_lenses_are_named_with_those_there_are() {
         (refused.expect_err("must be refused").to_string(), STRAIGHT.lines().position(|line| line.contains(from)))
     };
     for (from, to, words) in [
-        ("field = \"kid-2009\"", "field = \"moon\"", ["\"moon\"", "adult-2020, kid-2009"]),
+        ("field = \"kid-2009\"", "field = \"moon\"", ["\"moon\"", "adult-2020, hsl-large-2026"]),
         ("lens = \"fisheye-640\"", "lens = \"eye\"", ["\"eye\"", "fisheye-640"]),
         ("kind = \"gait_sway\"", "kind = \"gait\"", ["unknown variant `gait`", "`gait_sway`, `head_motion`"]),
     ] {

@@ -26,6 +26,7 @@ use crate::log_input::transforms::TransformTree;
 use crate::recording::Loss;
 use crate::ros2::LogMessage;
 use crate::ros2::mcap_write::{LogWriter, RawChannel, WriteError};
+use crate::tagging::warnings::scaled_lens;
 
 /// Make a log of a folder of pictures or a video, without ROS
 ///
@@ -374,6 +375,9 @@ fn write(
 fn lens_for(arguments: &ImportArguments, name: &str, [width, height]: [usize; 2]) -> anyhow::Result<LensParameters> {
     let lens = load_lens_for_image(&arguments.lens, width as u32, height as u32);
     let lens = lens.with_context(|| format!("{name} is {width} x {height} pixels"))?;
+    if let Some(stated) = lens.scaled_from {
+        output::say(&scaled_lens(&arguments.lens, stated, [width as u32, height as u32]));
+    }
     Ok(lens.lens.parameters().clone())
 }
 

@@ -76,12 +76,18 @@ pub(super) fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcom
     let pending = arguments.poses.as_deref().map(|poses| begin_poses(poses, &images)).transpose()?;
     let mut progress = output::Progress::new("tagging");
     let (mut verdicts, mut lost, mut done) = (Vec::new(), Vec::new(), 0);
+    let mut first: Option<(&Path, [u32; 2])> = None;
     tag_all(arguments, &images, &known, &mut |index, tagged| {
         let path = &images[index];
         done += 1;
         progress.set(done, Some(images.len() as u64));
         match tagged {
             Ok(tagged) => {
+                let size = [tagged.lens.width(), tagged.lens.height()];
+                let (first, first_size) = *first.get_or_insert((path, size));
+                if size != first_size {
+                    return Err(other_size(path, size, first, first_size).into());
+                }
                 print_one(&tagged.report, json)?;
                 verdicts.push(verdict(path, tagged, known_name(path).and_then(|name| known.get(name)), arguments));
             }
@@ -110,6 +116,21 @@ pub(super) fn run(arguments: &TagArguments, json: bool) -> anyhow::Result<Outcom
     summarize(&verdicts);
     let is_in_vain = verdicts.iter().all(|verdict| verdict.fit == FitQuality::None);
     Ok(if is_in_vain { Outcome::NotReached } else { Outcome::of(&lost) })
+}
+
+/// The error about pictures of two sizes, which one lens cannot have taken.
+fn other_size(
+    path: &Path,
+    [width, height]: [u32; 2],
+    first: &Path,
+    [first_width, first_height]: [u32; 2],
+) -> UsageError {
+    UsageError(format!(
+        "{} is {width} x {height} pixels, and {} {first_width} x {first_height}: the pictures of one camera have one size; move the \
+         others into a folder of their own",
+        path.display(),
+        first.display()
+    ))
 }
 
 fn is_unreadable(cause: &(dyn std::error::Error + 'static)) -> bool {
