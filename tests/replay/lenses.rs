@@ -61,7 +61,7 @@ fn cropped_images_have_the_lens_of_the_part() {
 }
 
 #[test]
-fn images_scaled_from_the_size_of_the_calibration_are_tagged_with_a_warning() {
+fn images_scaled_from_the_calibrated_size_are_tagged_with_a_warning() {
     let replayed = with_info(doubled).replay("log.mcap");
     assert_same(&replayed.tags, &walk().tags, "scaled");
     let warnings = scaled_warnings(&replayed);
