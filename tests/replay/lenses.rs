@@ -61,7 +61,7 @@ fn cropped_images_have_the_lens_of_the_part() {
 }
 
 #[test]
-fn images_scaled_from_the_size_of_the_calibration_are_tagged_with_a_warning() {
+fn images_scaled_from_the_calibrated_size_are_tagged_with_a_warning() {
     let replayed = with_info(doubled).replay("log.mcap");
     assert_same(&replayed.tags, &walk().tags, "scaled");
     let warnings = scaled_warnings(&replayed);
@@ -115,4 +115,27 @@ fn a_photo_scaled_from_the_lens_s_size_is_tagged_with_a_warning() {
     room.run(&format!("{known} wide.toml"))
         .fails(2, &["the lens is for images of 320 x 180, but the image has 320 x 240"]);
     room.run(&format!("{known} pinhole:100deg"));
+}
+
+/// From the rendered scene over its calibration message to the tags, on the scalar path too.
+#[test]
+fn walks_through_every_other_model_are_tagged_with_the_same_bits() {
+    let rational = "fx = 180.0\nfy = 180.0\nmodel = \"rational_polynomial\"\nd = [4.1, -2.3, 0.0011, -0.0007, 0.31, 4.3, -0.7, -0.2]";
+    let sphere = "fx = 82.0\nfy = 82.0\nmodel = \"double_sphere\"\nxi = -0.2\nalpha = 0.6";
+    let unified = "fx = 102.5\nfy = 102.5\nmodel = \"eucm\"\nalpha = 0.6\nbeta = 1.1";
+    let scaramuzza =
+        "fx = 102.5\nfy = 102.5\nmodel = \"scaramuzza\"\nc = [-0.31, 0.05, -0.06, 0.01, 0.0]\nskew = 0.003";
+    for model in [rational, sphere, unified, scaramuzza] {
+        let room = Room::new();
+        room.write_scene("scene.toml", |text| text.replace("rate_hz = 10.0", "rate_hz = 3.0"));
+        let size = "title = \"x\"\nwidth = 320\nheight = 240\ncx = 160.75\ncy = 117.75\n";
+        room.write("lens.toml", format!("{size}{model}\n"));
+        room.run("sim scene.toml -o log.mcap").succeeds();
+        let replayed = room.replay("log.mcap");
+        assert_same(&room.replay("scene.toml").tags, &replayed.tags, model);
+        assert_same(&room.replay("log.mcap --simd scalar").tags, &replayed.tags, model);
+        let (valid, all) = (replayed.count("valid"), replayed.tags.len());
+        assert!(all >= 5 && 2 * valid > all, "{model}: {valid} of {all} valid: {}", replayed.report);
+        assert!(scaled_warnings(&replayed).is_empty(), "{model}");
+    }
 }

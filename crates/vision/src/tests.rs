@@ -42,16 +42,22 @@ fn lens(model: LensModel, focal: f64, fov_deg: Option<f64>) -> Lens {
     Lens::new(parameters).expect("a good lens")
 }
 
-fn lenses() -> [(&'static str, Lens); 5] {
+fn lenses() -> [(&'static str, Lens); 3] {
     [
         ("fisheye", lens(LensModel::KannalaBrandt { k: [-0.012, 0.003, -0.0008, 0.0] }, 205.0, Some(200.0))),
         ("equisolid", lens(LensModel::Equisolid, 214.0, Some(190.0))),
         ("wide", lens(LensModel::PlumbBob { d: [-0.28, 0.07, 0.0, 0.0, 0.0] }, 353.0, None)),
-        (
-            "rational",
-            lens(LensModel::RationalPolynomial { d: [4.1, -2.3, 0.0011, -0.0007, 0.31, 4.3, -0.7, -0.2] }, 353.0, None),
-        ),
+    ]
+}
+
+/// One lens of each other kind of projection.
+fn more_lenses() -> [(&'static str, Lens); 3] {
+    let rational = LensModel::RationalPolynomial { d: [4.1, -2.3, 0.0011, -0.0007, 0.31, 4.3, -0.7, -0.2] };
+    let scaramuzza = LensModel::Scaramuzza { c: [-0.31, 0.05, -0.06, 0.01, 0.0], skew: 0.003 };
+    [
+        ("rational", lens(rational, 353.0, None)),
         ("double sphere", lens(LensModel::DoubleSphere { xi: -0.2, alpha: 0.6 }, 160.0, Some(200.0))),
+        ("scaramuzza", lens(scaramuzza, 205.0, Some(200.0))),
     ]
 }
 
@@ -360,7 +366,7 @@ fn the_log_likelihood_of_a_pose_is_that_of_the_direct_way() {
 
 #[test]
 fn ridges_lie_on_painted_lines_as_far_as_four_metres_with_every_lens() {
-    for (name, lens) in lenses() {
+    for (name, lens) in lenses().into_iter().chain(more_lenses()) {
         let robot = Pose2::new(-1.2, 0.3, 0.2);
         let direct = Direct::new(&lens, &robot);
         let ridges = direct.seen.ridges(&place(), lens.focal(), LINE_WIDTH_M);
