@@ -279,7 +279,11 @@ mod tests {
     fn command_lines(document: &str) -> Vec<String> {
         let joined = document.replace("\\\n", " ");
         let lines = joined.lines().filter_map(|line| line.strip_prefix("    ")).map(str::trim);
-        let lines = lines.filter(|line| line.starts_with("realitysim "));
+        // A picture of crates has the program's name in it, too.
+        let is_command = |line: &&str| {
+            line.strip_prefix("realitysim ").is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_lowercase()))
+        };
+        let lines = lines.filter(is_command);
         lines.map(|line| line.split(['|', '>', '#', '&', ';']).next().unwrap_or_default().trim().to_owned()).collect()
     }
 

@@ -251,7 +251,7 @@ fn what_cannot_be_imported_is_named() {
             &["back.csv: line 3", "earlier than that of line 2"],
         ),
         (
-            format!("import frames --stamps stamps.csv --transforms circle.csv --lens lens.toml -o x.mcap"),
+            "import frames --stamps stamps.csv --transforms circle.csv --lens lens.toml -o x.mcap".to_owned(),
             1,
             &["circle.csv", "no transform leads to base_link"],
         ),

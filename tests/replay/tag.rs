@@ -48,15 +48,17 @@ fn a_frame_of_the_walk_is_found() {
 #[test]
 fn an_image_that_nothing_fits_has_no_pose() {
     let room = room();
-    for image in ["black.png", "noise.png"] {
-        for field in ["", "--field kid-2009", "--initial 0,0,0"] {
-            let run =
-                room.run(&format!("tag {image} {KNOWN} {field}")).fails(1, &[image, "no pose found", "--attitude"]);
-            assert_eq!(run.stdout, "", "no pose is printed that somebody might use");
-            let report = room.run(&format!("tag {image} {KNOWN} {field} --json")).fails(1, &["no pose found"]).json();
-            assert_eq!(report["fit"], "none");
-        }
+    for (image, field) in [
+        ("black.png", ""),
+        ("noise.png", ""),
+        ("noise.png", "--field kid-2009 --initial 0,0,0"),
+        ("noise.png", "--field kid-2009"),
+    ] {
+        let run = room.run(&format!("tag {image} {KNOWN} {field}")).fails(1, &[image, "no pose found", "--attitude"]);
+        assert_eq!(run.stdout, "", "no pose is printed that somebody might use");
     }
+    let report = room.run(&format!("tag noise.png {KNOWN} --field kid-2009 --json")).fails(1, &["no pose found"]);
+    assert_eq!(report.json()["fit"], "none");
 }
 
 #[test]
@@ -152,13 +154,15 @@ fn a_picture_of_wide_lines_is_found_on_its_field() {
     let images: Vec<CompressedImage> = decode_all(&messages, IMAGE);
     let room = Room::new();
     room.write("camera.yaml", calibration(&info[0]));
-    for image in images.iter().step_by(15) {
+    for (number, image) in images.iter().step_by(30).enumerate() {
         room.write("frame.jpg", &image.data);
         let truth = truths.iter().find(|truth| truth.header.stamp == image.header.stamp).expect("of every frame");
         let (p, q) = (truth.pose.position, truth.pose.orientation);
         let tilt = Isometry::new(DQuat::from_xyzw(q.x, q.y, q.z, q.w), DVec3::ZERO).euler();
         let attitude = format!("{:.3},{:.3}", tilt.roll.to_degrees() + 0.5, tilt.pitch.to_degrees() - 0.5);
-        for field in ["--field hsl-large-2026", ""] {
+        // All fields take long: they are tried once.
+        let fields: &[&str] = if number == 0 { &["--field hsl-large-2026", ""] } else { &["--field hsl-large-2026"] };
+        for field in fields {
             let known = format!("--lens camera.yaml --attitude={attitude} --height {:.3} {field} --json", p.z);
             let report = room.run(&format!("tag frame.jpg {known}")).succeeds().json();
             let off = |pose: &Value| (pose["x"].as_f64().unwrap() - p.x).hypot(pose["y"].as_f64().unwrap() - p.y);

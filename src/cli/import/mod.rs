@@ -39,14 +39,14 @@ use crate::tagging::warnings::scaled_lens;
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Examples:",
-    "\n  realitysim import frames/ --lens camera.yaml --height 0.49 --imu imu.csv --odometry odometry.csv -o walk.mcap",
-    "\n  realitysim import clip.mp4 --rate 30 --lens camera.yaml --transforms camera.csv -o clip.mcap",
+    "\n  realitysim import frames/ --lens cam.yaml --height 0.5 --imu i.csv --odometry o.csv -o walk.mcap",
+    "\n  realitysim import clip.mp4 --rate 30 --lens cam.yaml --transforms camera.csv -o clip.mcap",
 ))]
 pub struct ImportArguments {
     /// A folder of JPEG and PNG files, or a video
     #[arg(value_name = "FOLDER|VIDEO")]
     source: PathBuf,
-    /// Lens file: TOML (config/cameras), ROS camera_calibration, Kalibr camchain or VisualMesh YAML
+    /// Lens file (of ROS, OpenCV, Kalibr, OCamCalib, mrcal, VisualMesh or this program), shipped camera, or equidistant:180deg
     #[arg(long, value_name = "FILE")]
     lens: String,
     /// When each picture was taken: image,stamp; of a video stamp alone, a row for each frame

@@ -34,7 +34,7 @@ use crate::vision::Picture;
 #[command(after_long_help = concat!(
     "Examples:",
     "\n  realitysim tag photo.jpg --lens camera.yaml --attitude 0,25 --height 0.55 --overlay out.png",
-    "\n  realitysim tag frames/ --lens camera.yaml --attitude-csv tilts.csv --field kid-2020 --sheet sheet.png --poses frames/poses.csv",
+    "\n  realitysim tag frames/ --lens camera.yaml --attitude-csv tilts.csv --sheet sheet.png",
 ))]
 pub struct TagArguments {
     /// JPEGs and PNGs, or folders of them
