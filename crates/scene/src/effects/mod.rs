@@ -1,6 +1,6 @@
 //! The effects that make a scene imperfect, one per file. An effect that the scene file does not list changes nothing.
 //!
-//! A kind of effect is one file in this folder, which implements [`EffectKind`], and one line in the [`registry`]. Every effect draws from its own random stream, so that adding one never changes what another does.
+//! A kind of effect is one file in this folder, which implements `EffectKind`, and one line in the `registry!`. Every effect draws from its own random stream, so that adding one never changes what another does.
 
 mod bright_window;
 mod calibration_error;
@@ -180,7 +180,7 @@ trait EffectKind {
     fn set_in(&self, _changing: &mut Changing, _seed: u64) {}
 }
 
-/// Facts about a kind of effect that hold for all its values: a line of the [`registry`].
+/// Facts about a kind of effect that hold for all its values: a line of the `registry!`.
 struct Kind {
     name: &'static str,
     stage: Stage,
@@ -198,7 +198,7 @@ enum Stage {
     Wire,
 }
 
-/// The thing that an effect acts on. Effects on the same thing apply in the order of the [`registry`]; effects on different
+/// The thing that an effect acts on. Effects on the same thing apply in the order of the `registry!`; effects on different
 /// things are independent of each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Subject {
