@@ -2,9 +2,11 @@
 //!
 //! A ray's point (x, y) = (X / Z, Y / Z) with s = x^2 + y^2 is drawn at (OpenCV, "Camera Calibration and 3D Reconstruction"):
 //!
-//!     radial = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3)
-//!     u = x radial + 2 p1 x y + p2 (s + 2 x^2) + s1 s + s2 s^2
-//!     v = y radial + p1 (s + 2 y^2) + 2 p2 x y + s3 s + s4 s^2
+//! ```text
+//! radial = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3)
+//! u = x radial + 2 p1 x y + p2 (s + 2 x^2) + s1 s + s2 s^2
+//! v = y radial + p1 (s + 2 y^2) + 2 p2 x y + s3 s + s4 s^2
+//! ```
 
 use glam::{DVec2, DVec3};
 
