@@ -15,23 +15,28 @@ use crate::config::{Settings, lens_names, load_lens, plain_file};
 use crate::geometry::LensParameters;
 use crate::live::stop_flag;
 use crate::log_input::scene_source;
+use crate::recording::session_holding;
 use crate::service::{ServeOptions, serve};
 use crate::views::{FAR_M, MAX_FAR_M};
 
-/// Serve views of a database over HTTP, for simulators and vision code
+/// Serve views of a database over HTTP, for simulators and vision code, and as a page for people
 ///
-/// GET /v1/view?x=..&y=..&z=..&yaw_deg=.. gives a picture; /openapi.json says the rest (docs/howto/simulator.md). The database may be
+/// A browser shows the page at the address that is told: one walks through the images there, and sees the tags of captures
+/// (docs/howto/page.md). GET /v1/view?x=..&y=..&z=..&yaw_deg=.. gives a picture; /openapi.json says the rest (docs/howto/simulator.md). The database may be
 /// changed meanwhile. Ends with SIGINT or SIGTERM.
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Examples:",
-    "\n  realitysim serve --db images/",
+    "\n  realitysim serve --db images/ --captures captures/",
     "\n  realitysim serve --db images/ --listen 0.0.0.0:8765 --token-file token.txt",
 ))]
 pub struct ServeArguments {
     /// The database's folder
     #[arg(long, value_name = "DIR")]
     db: PathBuf,
+    /// A folder of captures that the page shows: every session in it
+    #[arg(long, value_name = "CAPTURES_DIR")]
+    captures: Option<PathBuf>,
     /// Address and port; port 0 takes a free one, which is told. Beyond loopback a token is needed
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8765", value_parser = address)]
     listen: SocketAddr,
@@ -67,6 +72,7 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
     }
     let options = ServeOptions {
         database: arguments.db.clone(),
+        captures: captures_folder(arguments.captures.as_deref())?,
         listen: arguments.listen,
         token: arguments.token_file.as_deref().map(token).transpose()?,
         threads: arguments
@@ -88,11 +94,24 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
         let _ = if json {
             output::json(&Ready { listening: address, images })
         } else {
-            output::lines(&format!("{images} images on http://{address}"))
+            output::lines(&format!("{images} images on http://{address}: open it in a browser, or ask it for views"))
         };
     };
     serve(options, &stop, ready, output::say)?;
     Ok(Outcome::Whole)
+}
+
+/// The folder of captures, which must be there.
+fn captures_folder(folder: Option<&Path>) -> anyhow::Result<Option<PathBuf>> {
+    let Some(folder) = folder else { return Ok(None) };
+    if session_holding(folder).is_some() {
+        let what = "it is a capture, and the folder that holds captures is needed";
+        return Err(UsageError(format!("--captures {}: {what}", folder.display())).into());
+    }
+    if !folder.is_dir() {
+        return Err(UsageError(format!("--captures {}: there is no such folder", folder.display())).into());
+    }
+    Ok(Some(folder.to_owned()))
 }
 
 fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> {

@@ -1,4 +1,5 @@
-//! Serves views of an image database over HTTP: `realitysim serve`. docs/howto/simulator.md describes the service for its users.
+//! Serves views of an image database over HTTP, and a page that shows them and captures: `realitysim serve`. docs/howto/simulator.md
+//! describes the service for its users, docs/howto/page.md the page.
 //!
 //! [`serve`] listens until it is told to stop, with limits on everything that a client can do. Views are made by a few threads
 //! behind a bounded queue: under overload some requests are refused, and the others are answered as fast as before. Changes of
@@ -14,6 +15,7 @@
 //!
 //! let options = ServeOptions {
 //!     database: "images".into(),
+//!     captures: None,
 //!     listen: ([127, 0, 0, 1], 8765).into(),
 //!     token: None,
 //!     threads: 2,
@@ -29,10 +31,12 @@
 
 mod admission;
 mod batch;
+mod captures;
 mod connections;
 mod encode;
 mod guard;
 mod metrics;
+mod page;
 mod parameters;
 mod response;
 mod routes;
@@ -48,6 +52,7 @@ pub const OPENAPI: &str = include_str!("openapi.json");
 
 use std::sync::Arc;
 
+use captures::Captures;
 use metrics::Metrics;
 use response::{HttpProblem, Reply};
 use view_service::ViewService;
@@ -55,6 +60,7 @@ use view_service::ViewService;
 /// State that all connections share.
 struct Service {
     views: ViewService,
+    captures: Captures,
     metrics: Metrics,
     admission: admission::AdmissionControl,
     connections: Arc<connections::Connections>,

@@ -8,20 +8,34 @@ use std::time::{Duration, Instant};
 use http_body_util::{BodyExt, Limited};
 use hyper::body::{Body, Bytes, Incoming};
 use hyper::header::{ACCEPT, CONTENT_TYPE};
-use hyper::{Request, StatusCode};
+use hyper::{Method, Request, StatusCode};
 use tokio::time::timeout;
 
 use super::batch::Batch;
+use super::captures::Captures;
 use super::connections::ConnectionSlot;
 use super::encode::{Form, accepted};
 use super::guard::{Guard, list, text};
+use super::page::{PageFile, page_file};
 use super::parameters::{MaskWanted, Parameters, ViewRequest};
 use super::response::{bytes, finish, json_reply, put_headers};
 use super::view_service::Picture;
 use super::{HttpProblem, OPENAPI, Reply, Service};
 
 /// The paths of the service.
-const ROUTES: [&str; 6] = ["/v1/view", "/v1/views", "/v1/info", "/v1/coverage", "/metrics", "/openapi.json"];
+const ROUTES: [&str; 11] = [
+    "/v1/view",
+    "/v1/views",
+    "/v1/info",
+    "/v1/coverage",
+    "/v1/captures",
+    "/v1/capture",
+    "/v1/frame",
+    "/v1/tag",
+    "/v1/explain",
+    "/metrics",
+    "/openapi.json",
+];
 /// Largest body of a batch, bytes: a thousand poses have some hundred kilobytes.
 const MAX_BODY_BYTES: usize = 1 << 20;
 /// Longest time for the body of a batch to come.
@@ -48,6 +62,11 @@ pub(super) async fn answer(
 ) -> Result<Reply, Infallible> {
     let active = slot.request();
     let route = ROUTES.into_iter().find(|route| *route == request.uri().path());
+    if let Some(file) = page_file(request.uri().path()) {
+        let reply = page(&guard, &request, file).unwrap_or_else(|refusal| refusal.reply());
+        service.metrics.request("page", reply.status().as_u16());
+        return Ok(finish(reply, active));
+    }
     let reply = match (guard.check(&request), route) {
         (Err(refusal), _) => Err(refusal),
         (Ok(()), Some(route)) => dispatch(&service, &slot, route, request).await,
@@ -59,6 +78,15 @@ pub(super) async fn answer(
     let reply = reply.unwrap_or_else(|refusal| refusal.reply());
     service.metrics.request(route.unwrap_or("other"), reply.status().as_u16());
     Ok(finish(reply, active))
+}
+
+/// Answers with a file of the page.
+fn page(guard: &Guard, request: &Request<Incoming>, file: &PageFile) -> Result<Reply, HttpProblem> {
+    guard.check_page(request)?;
+    match *request.method() {
+        Method::GET | Method::HEAD => Ok(file.reply()),
+        _ => Err(HttpProblem::method("the page", "GET, HEAD")),
+    }
 }
 
 /// Hands an admitted request to its route.
@@ -80,6 +108,9 @@ async fn dispatch(
         "/v1/info" => {
             parameters.only(&[])?;
             Ok(json_reply(&service.views.info()))
+        }
+        "/v1/captures" | "/v1/capture" | "/v1/frame" | "/v1/tag" | "/v1/explain" => {
+            capture(service, slot, parameters, route).await
         }
         "/metrics" => Ok(bytes(StatusCode::OK, "text/plain; version=0.0.4", metrics(service))),
         _ => Ok(bytes(StatusCode::OK, "application/json", OPENAPI)),
@@ -171,6 +202,45 @@ async fn coverage(
     let work = move || shared.views.coverage(&parameters, picture);
     let (content, kind) = service.admission.enter().await?.run(work).await??;
     Ok(bytes(StatusCode::OK, kind, hold_answer(slot, content)?))
+}
+
+/// Answers what is asked of captures.
+async fn capture(
+    service: &Arc<Service>,
+    slot: &Arc<ConnectionSlot>,
+    parameters: Parameters,
+    route: &'static str,
+) -> Result<Reply, HttpProblem> {
+    let shared = Arc::clone(service);
+    let work = move || captured(&shared.captures, &parameters, route);
+    let (content, kind) = service.admission.enter().await?.run(work).await??;
+    Ok(bytes(StatusCode::OK, kind, hold_answer(slot, content)?))
+}
+
+/// Returns what is asked of captures, and its media type.
+fn captured(captures: &Captures, parameters: &Parameters, route: &str) -> Result<(Vec<u8>, &'static str), HttpProblem> {
+    const JSON: &str = "application/json";
+    let json = |value: serde_json::Value| (value.to_string().into_bytes(), JSON);
+    let known: &[&str] = match route {
+        "/v1/captures" => &[],
+        "/v1/capture" => &["capture"],
+        _ => &["capture", "frame"],
+    };
+    parameters.only(known)?;
+    if route == "/v1/captures" {
+        return captures.list().map(json);
+    }
+    let name = parameters.text("capture", "the name of a capture, as /v1/captures lists them")?;
+    if route == "/v1/capture" {
+        return Ok((captures.tags(name)?, JSON));
+    }
+    let frame = parameters.whole("frame", 0, u32::MAX)?;
+    let frame = frame.ok_or_else(|| HttpProblem::wrong("frame is missing: the number of a tagged frame, from 0"))?;
+    match route {
+        "/v1/frame" => captures.picture(name, frame),
+        "/v1/tag" => captures.tag(name, frame).map(json),
+        _ => captures.explanation(name, frame).map(json),
+    }
 }
 
 /// Reopens the database if it has changed. Returns what to report: the new number of images, or an error.

@@ -18,6 +18,7 @@ use tokio::time::{sleep, timeout};
 
 use super::Service;
 use super::admission::AdmissionControl;
+use super::captures::Captures;
 use super::connections::ConnectionSlot;
 use super::guard::Guard;
 use super::metrics::Metrics;
@@ -34,6 +35,8 @@ use realitysim_scene::Scene;
 pub struct ServeOptions {
     /// Folder of the database.
     pub database: PathBuf,
+    /// Folder of the captures that the page shows, if any.
+    pub captures: Option<PathBuf>,
     /// Address and port to listen on; port 0 takes any free one.
     pub listen: SocketAddr,
     /// Token that clients must send; needed for any address but loopback.
@@ -113,10 +116,11 @@ pub fn serve(
         None if options.listen.ip().is_loopback() => Guard::Loopback,
         None => return Err(ServeError::NoToken(options.listen)),
     };
-    let ServeOptions { database, listen, threads, settings, lenses, scenes, max_distance_m, .. } = options;
+    let ServeOptions { database, captures, listen, threads, settings, lenses, scenes, max_distance_m, .. } = options;
     let views = ViewService::open(&database, &settings, lenses, scenes, max_distance_m)?;
     let service = Arc::new(Service {
         views,
+        captures: Captures::of(captures),
         metrics: Metrics::default(),
         admission: AdmissionControl::new(threads),
         connections: Arc::default(),
