@@ -177,7 +177,7 @@ fn frozen_odometry_with_a_narrow_lens_and_no_gyro_gives_no_wrong_tags() {
     let narrow = "title = \"75 degrees\"\nwidth = 320\nheight = 240\nfx = 210.0\nfy = 210.0\ncx = 159.5\ncy = 119.5\n\
                   model = \"plumb_bob\"\nd = [0.0, 0.0, 0.0, 0.0, 0.0]\n";
     room.write("lens.toml", narrow);
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     assert_never_wrong(&room, &room.replay("log.mcap"), 0.5, "frozen before a narrow lens");
 }
 
@@ -332,7 +332,7 @@ fn beside_the_end_of_the_picture(route: &str, initial_pose: &str) -> Replayed {
              [odometry]\nrate_hz = 50.0\n\n[imu]\nrate_hz = 100.0\n"
         ),
     );
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let replayed = room.replay("log.mcap");
     let judged = room.run(&format!("eval {} --truth log.mcap --json", session_name(&replayed))).succeeds().json();
     println!("{judged:#}");
