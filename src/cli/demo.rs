@@ -6,7 +6,7 @@ use clap::Args;
 use glam::DVec2;
 
 use super::paths::{check_output, make_folder, save};
-use super::{Outcome, eval, output, sim};
+use super::{Outcome, eval, output, scene};
 use crate::config::Settings;
 use crate::database::{self, TagLimits};
 use crate::evaluation::capture::{read_truth, tagged};
@@ -52,7 +52,7 @@ pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
     make_folder(folder)?;
     let log = folder.join("walk.mcap");
     eprintln!("1/3  rendering a walk as a robot would have recorded it: {}", scene.file().scene.title);
-    sim::render(&scene, &log)?;
+    scene::render(&scene, &log)?;
     eprintln!("2/3  tagging every frame");
     let options = ReplayOptions {
         source: log.clone(),

@@ -61,23 +61,23 @@ mod tests {
     fn only_the_section_changes() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.md");
-        let text = "before\n\n<!-- begin: realitysim cost -->\nold\n<!-- end: realitysim cost -->\n\nafter\n";
+        let text =
+            "before\n\n<!-- begin: realitysim measure cost -->\nold\n<!-- end: realitysim measure cost -->\n\nafter\n";
         std::fs::write(&path, text).expect("written");
         for _ in 0..2 {
-            Section::open(&path, "cost").expect("a section").write("new\n").expect("written");
-            let expected =
-                "before\n\n<!-- begin: realitysim cost -->\n\nnew\n\n<!-- end: realitysim cost -->\n\nafter\n";
+            Section::open(&path, "measure cost").expect("a section").write("new\n").expect("written");
+            let expected = "before\n\n<!-- begin: realitysim measure cost -->\n\nnew\n\n<!-- end: realitysim measure cost -->\n\nafter\n";
             assert_eq!(std::fs::read_to_string(&path).expect("readable"), expected);
         }
     }
 
     #[test]
     fn a_document_without_its_marks_is_refused() {
-        let [begin, end] = marks("cost");
+        let [begin, end] = marks("measure cost");
         for text in [String::new(), begin.clone(), format!("{end}{begin}"), format!("{begin}{begin}{end}")] {
-            let refused = find(&text, "cost").expect_err("refused");
+            let refused = find(&text, "measure cost").expect_err("refused");
             assert!(refused.contains(&begin) && refused.contains(&end), "{text}");
         }
-        assert_eq!(find(&format!("{begin}{end}"), "cost"), Ok(begin.len()..begin.len()));
+        assert_eq!(find(&format!("{begin}{end}"), "measure cost"), Ok(begin.len()..begin.len()));
     }
 }

@@ -4,30 +4,24 @@
 //! Exit codes are 0 when done, 1 when something failed, 2 for wrong usage or config, 3 when done but data was lost.
 
 mod check;
-mod contrast;
-mod cost;
-mod cut;
 mod db;
 mod demo;
-mod detector;
 mod doc_section;
 mod doctor;
 mod eval;
 mod explain;
 mod export;
-mod falsify;
-mod gap;
 mod host_info;
 mod import;
-mod info;
 mod input_files;
 mod install;
 mod junit;
+mod live;
+mod log;
+mod measure;
 mod output;
-mod paper;
 mod paths;
 mod photo;
-mod play;
 mod record;
 mod reference_check;
 mod refine;
@@ -36,15 +30,11 @@ mod scene;
 mod serve;
 mod sessions;
 mod settings;
-mod sim;
-mod soak;
 mod status_text;
 mod sync;
 mod tag;
 mod values;
 mod view;
-mod view_quality;
-mod view_walk;
 
 use std::process::ExitCode;
 
@@ -79,37 +69,32 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    Replay(Box<replay::ReplayArguments>),
-    Scene(scene::SceneArguments),
+    // On the robot.
     Record(Box<record::RecordArguments>),
-    #[command(flatten)]
-    Recorder(record::RecorderCommand),
-    Sync(Box<sync::SyncArguments>),
-    Sessions(sessions::SessionsArguments),
+    Recorder(record::RecorderArguments),
     Doctor(Box<doctor::DoctorArguments>),
     Install(install::InstallArguments),
-    Soak(Box<soak::SoakArguments>),
-    Sim(sim::SimArguments),
-    Eval(eval::EvalArguments),
-    Explain(Box<explain::ExplainArguments>),
-    Export(export::ExportArguments),
-    Import(Box<import::ImportArguments>),
-    Info(info::InfoArguments),
+    // From logs to tags.
+    Replay(Box<replay::ReplayArguments>),
     Tag(tag::TagArguments),
-    Check(check::CheckArguments),
-    Cost(Box<cost::CostArguments>),
-    Contrast(contrast::ContrastArguments),
-    Falsify(falsify::FalsifyArguments),
-    Cut(Box<cut::CutArguments>),
-    Paper(paper::PaperArguments),
+    Explain(Box<explain::ExplainArguments>),
+    Refine(refine::RefineArguments),
+    Log(log::LogArguments),
+    Import(Box<import::ImportArguments>),
+    Export(export::ExportArguments),
+    // Captures at home.
+    Sync(Box<sync::SyncArguments>),
+    Sessions(sessions::SessionsArguments),
+    // Images of any pose.
     Db(db::DbArguments),
     View(view::ViewArguments),
-    ViewWalk(view_walk::ViewWalkArguments),
-    Refine(refine::RefineArguments),
-    Play(play::PlayArguments),
     Serve(serve::ServeArguments),
-    Gap(gap::GapArguments),
-    ViewQuality(view_quality::ViewQualityArguments),
+    Live(live::LiveArguments),
+    // Rendered walks, and how good it all is.
+    Scene(scene::SceneArguments),
+    Eval(eval::EvalArguments),
+    Check(check::CheckArguments),
+    Measure(Box<measure::MeasureArguments>),
     Demo(demo::DemoArguments),
 }
 
@@ -135,36 +120,27 @@ pub fn run() -> ExitCode {
     let arguments = Arguments::parse();
     let json = arguments.json;
     let outcome = match arguments.command {
-        Command::Replay(arguments) => replay::run(&arguments, json),
-        Command::Scene(arguments) => scene::run(&arguments, json),
         Command::Record(arguments) => record::run(&arguments, json),
+        Command::Recorder(arguments) => record::send_command(&arguments.command, json),
+        Command::Doctor(arguments) => doctor::run(&arguments, json),
+        Command::Install(arguments) => install::run(&arguments),
+        Command::Replay(arguments) => replay::run(&arguments, json),
+        Command::Tag(arguments) => tag::run(&arguments, json),
+        Command::Explain(arguments) => explain::run(&arguments, json),
+        Command::Refine(arguments) => refine::run(&arguments, json),
+        Command::Log(arguments) => log::run(&arguments, json),
+        Command::Import(arguments) => import::run(&arguments, json),
+        Command::Export(arguments) => export::run(&arguments, json),
         Command::Sync(arguments) => sync::run(&arguments, json),
         Command::Sessions(arguments) => sessions::run(&arguments, json),
-        Command::Install(arguments) => install::run(&arguments),
-        Command::Soak(arguments) => soak::run(&arguments, json),
-        Command::Doctor(arguments) => doctor::run(&arguments, json),
-        Command::Recorder(command) => record::send_command(&command, json),
-        Command::Sim(arguments) => sim::run(&arguments, json),
-        Command::Eval(arguments) => eval::run(&arguments, json),
-        Command::Explain(arguments) => explain::run(&arguments, json),
-        Command::Export(arguments) => export::run(&arguments, json),
-        Command::Import(arguments) => import::run(&arguments, json),
-        Command::Info(arguments) => info::run(&arguments, json),
-        Command::Tag(arguments) => tag::run(&arguments, json),
-        Command::Check(arguments) => check::run(&arguments, json),
-        Command::Cut(arguments) => cut::run(&arguments, json),
-        Command::Cost(arguments) => cost::run(&arguments, json),
-        Command::Contrast(arguments) => contrast::run(&arguments, json),
-        Command::Falsify(arguments) => falsify::run(&arguments, json),
-        Command::Paper(arguments) => paper::run(&arguments, json),
         Command::Db(arguments) => db::run(&arguments, json),
         Command::View(arguments) => view::run(&arguments, json),
-        Command::ViewWalk(arguments) => view_walk::run(&arguments, json),
-        Command::Play(arguments) => play::run(&arguments, json),
-        Command::Refine(arguments) => refine::run(&arguments, json),
         Command::Serve(arguments) => serve::run(&arguments, json),
-        Command::Gap(arguments) => gap::run(&arguments, json),
-        Command::ViewQuality(arguments) => view_quality::run(&arguments, json),
+        Command::Live(arguments) => live::run(&arguments, json),
+        Command::Scene(arguments) => scene::run(&arguments, json),
+        Command::Eval(arguments) => eval::run(&arguments, json),
+        Command::Check(arguments) => check::run(&arguments, json),
+        Command::Measure(arguments) => measure::run(&arguments, json),
         Command::Demo(arguments) => demo::run(&arguments, json),
     };
     match outcome {

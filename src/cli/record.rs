@@ -13,7 +13,7 @@ use crate::geometry::{Field, Pose2};
 use crate::live::{RecordOptions, Status, ask, poses, record, stop_flag};
 
 /// Control socket of the service; a user's own recorder may have another.
-const SOCKET: &str = "/run/realitysim/control.sock";
+pub(super) const SOCKET: &str = "/run/realitysim/control.sock";
 
 /// Record a live camera and tag every frame, on the robot
 ///
@@ -76,14 +76,22 @@ fn recorder_lost_data(status: &Status) -> bool {
         || earlier.frames_refused > 0
 }
 
+/// Ask a running recorder, or tell it something
+#[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim recorder status")]
+pub struct RecorderArguments {
+    #[command(subcommand)]
+    pub command: RecorderCommand,
+}
+
 /// Commands to a running recorder.
 #[derive(Subcommand)]
 pub enum RecorderCommand {
     /// How a running recorder is: rates, drops, ports and clocks, the last pose
-    #[command(after_long_help = "Example:\n  realitysim status")]
+    #[command(after_long_help = "Example:\n  realitysim recorder status")]
     Status(SocketArguments),
     /// Put a note into the running log
-    #[command(after_long_help = "Example:\n  realitysim mark \"second half begins\"")]
+    #[command(after_long_help = "Example:\n  realitysim recorder mark \"second half begins\"")]
     Mark {
         /// What happened
         text: String,
@@ -91,7 +99,7 @@ pub enum RecorderCommand {
         at: SocketArguments,
     },
     /// Say where the robot is: `base_footprint` in `map`, as after kick-off or when it was carried
-    #[command(after_long_help = "Example:\n  realitysim place 1.2,-0.3,90")]
+    #[command(after_long_help = "Example:\n  realitysim recorder place 1.2,-0.3,90")]
     Place {
         /// Metres along and across the field from its centre, and the heading in degrees: on the field or at most 1 m off its
         /// carpet (else exit code 2)
@@ -101,13 +109,13 @@ pub enum RecorderCommand {
         at: SocketArguments,
     },
     /// Begin a session in a recorder that runs
-    #[command(after_long_help = "Example:\n  realitysim start")]
+    #[command(after_long_help = "Example:\n  realitysim recorder start")]
     Start(SocketArguments),
     /// End its session; the recorder goes on running
-    #[command(after_long_help = "Example:\n  realitysim stop")]
+    #[command(after_long_help = "Example:\n  realitysim recorder stop")]
     Stop(SocketArguments),
     /// Every tag as it is made, a line of JSON each
-    #[command(after_long_help = "Example:\n  realitysim poses")]
+    #[command(after_long_help = "Example:\n  realitysim recorder poses")]
     Poses(SocketArguments),
 }
 

@@ -71,7 +71,8 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
         }
     }
     let options = ServeOptions {
-        database: arguments.db.clone(),
+        database: Some(arguments.db.clone()),
+        live: None,
         captures: captures_folder(arguments.captures.as_deref())?,
         listen: arguments.listen,
         token: arguments.token_file.as_deref().map(token).transpose()?,
@@ -84,25 +85,27 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
         max_distance_m: arguments.max_distance,
     };
     let stop = stop_flag()?;
-    let ready = |address: SocketAddr, images: usize| {
-        #[derive(Serialize)]
-        struct Ready {
-            listening: SocketAddr,
-            images: usize,
-        }
-        // A closed standard output does not stop the service.
-        let _ = if json {
-            output::json(&Ready { listening: address, images })
-        } else {
-            output::lines(&format!("{images} images on http://{address}: open it in a browser, or ask it for views"))
-        };
-    };
-    serve(options, &stop, ready, output::say)?;
+    let words = "serving views";
+    serve(options, &stop, |address, images| tell_ready(address, images, words, json), output::say)?;
     Ok(Outcome::Whole)
 }
 
+/// Says where the service listens. A closed standard output does not stop it.
+pub(super) fn tell_ready(address: SocketAddr, images: usize, words: &str, json: bool) {
+    #[derive(Serialize)]
+    struct Ready {
+        listening: SocketAddr,
+        images: usize,
+    }
+    let _ = if json {
+        output::json(&Ready { listening: address, images })
+    } else {
+        output::lines(&format!("{words}, {images} images, on http://{address}: open it in a browser"))
+    };
+}
+
 /// The folder of captures, which must be there.
-fn captures_folder(folder: Option<&Path>) -> anyhow::Result<Option<PathBuf>> {
+pub(super) fn captures_folder(folder: Option<&Path>) -> anyhow::Result<Option<PathBuf>> {
     let Some(folder) = folder else { return Ok(None) };
     if session_holding(folder).is_some() {
         let what = "it is a capture, and the folder that holds captures is needed";
@@ -114,7 +117,8 @@ fn captures_folder(folder: Option<&Path>) -> anyhow::Result<Option<PathBuf>> {
     Ok(Some(folder.to_owned()))
 }
 
-fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> {
+/// The shipped lenses, and those that are given as NAME=FILE.
+pub(super) fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> {
     let mut lenses = BTreeMap::new();
     for name in lens_names() {
         let lens = load_lens(&name)?.lens.parameters().clone();
@@ -131,7 +135,8 @@ fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> 
 /// Largest file with a token; a longer token fits no HTTP header.
 const MAX_TOKEN_BYTES: u64 = 4096;
 
-fn token(path: &Path) -> anyhow::Result<String> {
+/// Reads the token of a file.
+pub(super) fn token(path: &Path) -> anyhow::Result<String> {
     let text = plain_file::read_text(path, MAX_TOKEN_BYTES).map_err(|error| cannot_read(path, error))?;
     let token = text.trim();
     if token.is_empty() {

@@ -84,7 +84,7 @@ impl SettingsArguments {
         if let Some((option, _)) = given.filter(|_| InputSource::is_scene(source)) {
             let scene = source.display();
             return Err(UsageError(format!(
-                "{option} is of a log, and {scene} is a scene, which names its field itself: `field` in its [scene]; `realitysim sim` \
+                "{option} is of a log, and {scene} is a scene, which names its field itself: `field` in its [scene]; `realitysim scene render` \
                  makes a log of it"
             ))
             .into());

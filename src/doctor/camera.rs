@@ -70,7 +70,7 @@ fn measure_stream(what: String, driver: Box<dyn Driver>, options: CameraOptions)
         });
     }
     if let Some(error) = lost {
-        return bad(what, error.to_string(), "see the message; `realitysim info DEVICE` lists what it offers");
+        return bad(what, error.to_string(), "see the message; `realitysim log info DEVICE` lists what it offers");
     }
     let (Some(camera), [first, .., last]) = (camera, stamps.as_slice()) else {
         return bad(what, "sends no frames", "is it the right node? UVC cameras have a second one for metadata");

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::devices::mavlink::PortCounts;
 use crate::devices::serial::{LineStatus, Trouble};
 
-/// State of one serial port; part of `realitysim status`.
+/// State of one serial port; part of `realitysim recorder status`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Port {
     /// Why the port is not open, if it is not.

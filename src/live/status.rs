@@ -1,4 +1,4 @@
-//! Status of a running recorder, for `realitysim status` and for the log.
+//! Status of a running recorder, for `realitysim recorder status` and for the log.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ use crate::recording::{Counts, RecorderStatus};
 use crate::ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Header, KeyValue};
 use crate::ros2::topics::DIAGNOSTICS_PREFIX;
 
-/// Answer to `realitysim status`, also the result of `realitysim record`.
+/// Answer to `realitysim recorder status`, also the result of `realitysim record`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Status {

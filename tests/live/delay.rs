@@ -16,7 +16,7 @@ fn turning_head(room: &Room) {
             "{before}kind = \"still\"\nposes = [[-1.0, 0.2, 20.0]]\nhold_s = 6.0\n\n[odometry]{after}{head}[[effect]]{effects}"
         )
     });
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
 }
 
 /// The robot turns at the corners of its way, and has no head.
@@ -30,7 +30,7 @@ fn turning_body(room: &Room) {
              speed_m_s = 0.35\nturn_deg_s = 130.0\n\n[odometry]{after}"
         )
     });
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
 }
 
 #[test]

@@ -21,7 +21,7 @@ fn thirty_frames_a_second_of_640_by_480() {
     let scene = fs::read_to_string("replay/scenes/straight.toml").expect("a scene");
     assert!(scene.contains("rate_hz = 10.0\njpeg_quality"), "{scene}");
     room.write("scene.toml", scene.replace("rate_hz = 10.0\njpeg_quality", "rate_hz = 30.0\njpeg_quality"));
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let robot = Robot::of(&read_log(&room.path("log.mcap")));
     let frames = robot.frames() as u64;
 

@@ -20,7 +20,7 @@ fn listeners_hear_predictions_without_frames_and_that_they_are_such() {
     recorder.waits_for("a prediction", 30, |status| {
         status["last_tag"]["reason"] == "no_frame" && status["last_tag"]["sigma_m"].as_f64() > Some(0.0)
     });
-    let said = recorder.room.run("status --socket control.sock").stdout;
+    let said = recorder.room.run("recorder status --socket control.sock").stdout;
     assert!(said.contains("predicted, for want of frames"), "{said}");
     let (_, robot) = walking.join().expect("walked");
     recorder.waits_for("all frames", 20, |status| status["counts"]["tagged"].as_u64() == Some(frames as u64));
@@ -96,9 +96,9 @@ fn between_sessions_odometry_goes_on_and_a_pose_can_be_announced() {
     assert_eq!(recorder.asks("start")["state"], "recording");
     let (_, robot) = walking.join().expect("walked");
     recorder.waits_for("the last frame", 20, |status| status["last_tag"]["valid"] == true);
-    let refused = recorder.room.run("place 20,0,0 --socket control.sock");
+    let refused = recorder.room.run("recorder place 20,0,0 --socket control.sock");
     refused.fails(2, &["20,0 is not on the field", "its carpet reaches"]);
-    recorder.room.run("place 2,north,0 --socket control.sock").fails(2, &["expected x,y,yaw_deg"]);
+    recorder.room.run("recorder place 2,north,0 --socket control.sock").fails(2, &["expected x,y,yaw_deg"]);
     let placed = recorder.asks("place 1.2,-0.3,-165.5");
     assert_eq!(placed["place"][0], 1.2);
     let output = recorder.ends();

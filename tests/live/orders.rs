@@ -20,7 +20,7 @@ fn a_session_can_be_stopped_and_another_begun() {
     let status = recorder.asks("status");
     assert_eq!((&status["earlier"]["sessions"], &status["earlier"]["unfinished"]), (&1.into(), &0.into()), "{status}");
     assert!(recorder.ends().status.success());
-    assert!(recorder.room.run("status --socket control.sock").code == Some(1), "nobody answers any more");
+    assert!(recorder.room.run("recorder status --socket control.sock").code == Some(1), "nobody answers any more");
     // Neither had a camera.
     recorder.room.run(&format!("db add {CAPTURES} --db db")).fails(1, &["nothing was added"]);
 }
@@ -65,7 +65,7 @@ fn a_signal_that_comes_twice_is_one() {
 fn orders_are_taken_whole_or_not_at_all() {
     let mut recorder = Recorder::start(None);
     recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
-    let order = |line: &str| recorder.room.run(&format!("{line} --socket control.sock"));
+    let order = |line: &str| recorder.room.run(&format!("recorder {line} --socket control.sock"));
     order(&format!("mark {}stop", "a".repeat(4091))).fails(1, &["an order has at most 4096 bytes"]);
     order(&format!("mark {}", "é".repeat(3000))).fails(1, &["an order has at most 4096 bytes"]);
     // Larger than the socket's own buffer.
@@ -136,7 +136,7 @@ fn what_a_recording_needs_is_asked_for() {
     record("--lens lens.toml --set mount.torso_height_m=0.4 --set mount.camera_rpy_deg=[0,-90,0]").fails(2, &["up"]);
     record("--set capture.device=unix:").fails(2, &["capture.device", "unix:/run/realitysim/camera.sock"]);
     assert!(!room.path(CAPTURES).exists(), "nothing was begun");
-    room.run("status --socket control.sock").fails(1, &["no recorder is running there"]);
+    room.run("recorder status --socket control.sock").fails(1, &["no recorder is running there"]);
 }
 
 /// Files, sockets and pipes of the whole process are short for a moment, as when something else leaks them.

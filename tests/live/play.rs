@@ -32,8 +32,9 @@ fn a_capture_is_played_to_a_file_and_a_serial_line() {
             }
         });
     });
-    let run =
-        room.run(&format!("play {session} --video video.mjpeg --serial {} --speed 2 --json", cable.ends[0])).succeeds();
+    let run = room
+        .run(&format!("log play {session} --video video.mjpeg --serial {} --speed 2 --json", cable.ends[0]))
+        .succeeds();
     std::thread::sleep(std::time::Duration::from_millis(500));
     stop.store(true, Ordering::Relaxed);
     reader.join().expect("a reader");
@@ -65,10 +66,10 @@ fn a_way_through_a_database_is_played() {
         "way.csv",
         "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n0,0.1,0.2,0.5,10,20,0\n0.1,0.2,0.2,0.5,10,20,0\n0.2,0.3,0.2,0.5,10,20,0\n",
     );
-    let played = room.run("play way.csv --db db --video video.mjpeg --json").succeeds().json();
+    let played = room.run("log play way.csv --db db --video video.mjpeg --json").succeeds().json();
     assert_eq!((&played["images"], &played["doubtful"], played["doubt"].is_null()), (&3.into(), &0.into(), true));
     room.write("far.csv", "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n0,47,0.2,0.5,10,20,0\n");
-    let far = room.run("play far.csv --db db --video far.mjpeg --json").succeeds().json();
+    let far = room.run("log play far.csv --db db --video far.mjpeg --json").succeeds().json();
     assert!(far["doubtful"] == 1 && far["doubt"].as_str().is_some_and(|why| why.contains("farther than")), "{far}");
     let bytes = std::fs::read(room.path("video.mjpeg")).expect("written");
     assert_eq!(bytes.windows(3).filter(|three| *three == [0xff, 0xd8, 0xff]).count(), 3);
@@ -88,8 +89,8 @@ fn nothing_is_played_into_what_it_is_read_from() {
         ("way.csv --db db", "images/0.png"),
     ] {
         let before = std::fs::read(room.path(target)).expect("there");
-        room.run(&format!("play {source} --video {target}")).fails(2, &["choose another place"]);
-        room.run(&format!("play {source} --serial {target}")).fails(2, &["choose another place"]);
+        room.run(&format!("log play {source} --video {target}")).fails(2, &["choose another place"]);
+        room.run(&format!("log play {source} --serial {target}")).fails(2, &["choose another place"]);
         assert_eq!(std::fs::read(room.path(target)).expect("there"), before, "{target}");
     }
 }
@@ -99,14 +100,14 @@ fn what_is_no_device_is_not_made_and_what_is_there_is_not_written_over() {
     let room = Room::with_walk();
     let session = session_name(&room.replay("log.mcap"));
     let device = std::path::Path::new("/dev/video-realitysim-test");
-    room.run(&format!("play {session} --video {}", device.display())).fails(2, &["there is no such device"]);
+    room.run(&format!("log play {session} --video {}", device.display())).fails(2, &["there is no such device"]);
     assert!(!device.exists(), "a file among the devices");
     room.write("notes.txt", "mine");
-    room.run(&format!("play {session} --video notes.txt")).fails(1, &["no file is written over"]);
+    room.run(&format!("log play {session} --video notes.txt")).fails(1, &["no file is written over"]);
     std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/scenes/demo.toml"), room.path("demo.toml"))
         .expect("a scene");
-    room.run("sim demo.toml -o notes.txt").fails(2, &["notes.txt: is there already"]);
-    room.run(&format!("cut {session} --from 0 --to 1 -o notes.txt")).fails(2, &["notes.txt: is there already"]);
+    room.run("scene render demo.toml -o notes.txt").fails(2, &["notes.txt: is there already"]);
+    room.run(&format!("log cut {session} --from 0 --to 1 -o notes.txt")).fails(2, &["notes.txt: is there already"]);
     room.run(&format!("export {session} --to tum -o notes.txt")).fails(2, &["notes.txt: is there already"]);
     assert_eq!(std::fs::read_to_string(room.path("notes.txt")).expect("there"), "mine");
 }
@@ -117,7 +118,7 @@ fn a_pipe_that_nobody_reads_is_waited_for_and_given_up() {
     let session = session_name(&room.replay("log.mcap"));
     assert!(std::process::Command::new("mkfifo").arg(room.path("pipe")).status().expect("mkfifo").success());
     let mut playing = std::process::Command::new(env!("CARGO_BIN_EXE_realitysim"))
-        .args(["play", &session, "--video", "pipe"])
+        .args(["log", "play", &session, "--video", "pipe"])
         .current_dir(room.path(""))
         .stdout(std::process::Stdio::null())
         .spawn()
@@ -134,21 +135,21 @@ fn a_pipe_that_nobody_reads_is_waited_for_and_given_up() {
 #[test]
 fn what_cannot_be_played_is_told() {
     let room = Room::new();
-    room.run("play none").fails(2, &["--video"]);
-    room.run("play none --video out").fails(1, &["session.json"]);
+    room.run("log play none").fails(2, &["--video"]);
+    room.run("log play none --video out").fails(1, &["session.json"]);
     room.write("way.csv", "t,x\n");
-    room.run("play way.csv --video out").fails(2, &["--db"]);
-    room.run("play way.csv --db db --video out").fails(2, &["line 1: the head is \"t,x\""]);
+    room.run("log play way.csv --video out").fails(2, &["--db"]);
+    room.run("log play way.csv --db db --video out").fails(2, &["line 1: the head is \"t,x\""]);
     room.write("way.csv", "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n1,0,0,0.5,0,0,0\n0.5,0,0,0.5,0,0,0\n");
-    room.run("play way.csv --db db --video out").fails(2, &["line 3", "go up"]);
+    room.run("log play way.csv --db db --video out").fails(2, &["line 3", "go up"]);
     room.write("way.csv", "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n1,0,nan,0.5,0,0,0\n");
-    room.run("play way.csv --db db --video out").fails(2, &["line 2: seven finite numbers"]);
+    room.run("log play way.csv --db db --video out").fails(2, &["line 2: seven finite numbers"]);
     for (way, words) in [("1,0,x,0,0.5,0,0,0", "seven finite numbers"), ("1e12,0,0,0.5,0,0,0", "lasts 86400 s at most")]
     {
         room.write("way.csv", format!("t,x,y,z,yaw_deg,pitch_deg,roll_deg\n{way}\n"));
-        room.run("play way.csv --db db --video out").fails(2, &["line 2", words]);
+        room.run("log play way.csv --db db --video out").fails(2, &["line 2", words]);
     }
     room.write("way.csv", "t,x,y,z,yaw_deg,pitch_deg,roll_deg\n1,0,0,0.5,0,0,0\n");
-    room.run("play way.csv --db db --video out").fails(1, &["there is no database here"]);
-    room.run("play way.csv --db db --video out --speed 0").fails(2, &["0.01 to 100"]);
+    room.run("log play way.csv --db db --video out").fails(1, &["there is no database here"]);
+    room.run("log play way.csv --db db --video out --speed 0").fails(2, &["0.01 to 100"]);
 }

@@ -16,7 +16,7 @@ fn a_port_that_is_silent_garbled_or_useless_is_named_until_it_is_right() {
     let mut recorder = Recorder::start(Some(&tty));
     let cause = |status: &serde_json::Value| status["ports"][&tty]["trouble"]["cause"].clone();
     recorder.waits_for("silent", 30, |status| cause(status) == "silent");
-    let said = recorder.room.run("status --socket control.sock").succeeds().stdout;
+    let said = recorder.room.run("recorder status --socket control.sock").succeeds().stdout;
     assert!(said.contains(&format!("{tty}: TROUBLE: silent")) && said.contains("tags: none yet"), "{said}");
 
     let mut line = std::fs::OpenOptions::new().write(true).open(&cable.ends[0]).expect("the line");

@@ -54,13 +54,13 @@ impl Recorder {
     }
 
     pub fn asks(&self, order: &str) -> serde_json::Value {
-        self.room.run(&format!("{order} --socket control.sock --json")).succeeds().json()
+        self.room.run(&format!("recorder {order} --socket control.sock --json")).succeeds().json()
     }
 
     pub fn waits_for(&self, what: &str, seconds: u64, is: impl Fn(&serde_json::Value) -> bool) {
         let began = Instant::now();
         loop {
-            let run = self.room.run("status --socket control.sock --json");
+            let run = self.room.run("recorder status --socket control.sock --json");
             if run.code == Some(0) && is(&run.json()) {
                 return;
             }
@@ -73,7 +73,7 @@ impl Recorder {
     pub fn listens_to_poses(&self) -> std::process::Child {
         self.waits_for("it answers", 30, |_| true);
         Command::new(env!("CARGO_BIN_EXE_realitysim"))
-            .args(["poses", "--socket", "control.sock"])
+            .args(["recorder", "poses", "--socket", "control.sock"])
             .current_dir(self.room.path(""))
             .stdout(Stdio::piped())
             .spawn()

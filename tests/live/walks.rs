@@ -37,7 +37,7 @@ fn a_walk_is_tagged_live_and_its_capture_gives_the_same_tags() {
     assert_eq!(disk["conserved"], true);
     assert!(disk["free_bytes"].as_u64().is_some_and(|bytes| bytes > 0), "{status}");
     assert!(disk["loss_bound_ms"].as_f64() >= disk["worst_stall_ms"].as_f64(), "{status}");
-    let said = recorder.room.run("status --socket control.sock");
+    let said = recorder.room.run("recorder status --socket control.sock");
     for part in [
         "last second:",
         "wait to be taken",

@@ -27,7 +27,7 @@ struct Soak {
 impl Soak {
     fn start(room: &Room, arguments: &str) -> Self {
         let mut process = Command::new(env!("CARGO_BIN_EXE_realitysim"))
-            .args(["soak", "-o", CAPTURES, "--states", "--json"])
+            .args(["measure", "soak", "-o", CAPTURES, "--states", "--json"])
             .args(arguments.split_whitespace())
             .args(ROOM_ENOUGH.split_whitespace())
             .current_dir(room.path(""))
@@ -144,7 +144,7 @@ fn kill_and_repair(kill: u64, moment: Duration) {
     let again = room.run(&format!("sessions repair --captures {CAPTURES}")).succeeds();
     assert!(again.stdout.trim_end().ends_with(": whole"), "{again:?}");
     if kill == 0 {
-        let info = room.run(&format!("info {CAPTURES}/{}", session.file_name().unwrap().display()));
+        let info = room.run(&format!("log info {CAPTURES}/{}", session.file_name().unwrap().display()));
         assert_eq!(info.code, Some(0), "{info:?}");
         other_readers_agree(&session, whole.len());
     }
@@ -165,7 +165,8 @@ fn manifest_counts(session: &Path) -> Counts {
 fn thinning_is_accounted_for_through_the_thread_and_through_a_crash() {
     let thinned = "--set recording.thinning.mode=\"rate\" --set recording.segment_mb=1";
     let room = Room::new();
-    let report = room.run(&format!("soak -o {CAPTURES} --seconds 2 {thinned} {ROOM_ENOUGH} --json")).succeeds().json();
+    let report =
+        room.run(&format!("measure soak -o {CAPTURES} --seconds 2 {thinned} {ROOM_ENOUGH} --json")).succeeds().json();
     let counts: Counts = serde_json::from_value(report["counts"].clone()).unwrap();
     assert!(counts.is_conserved() && counts.thinned > 8 * counts.written, "{counts:?}");
     assert_eq!(manifest_counts(&only_session(&room)), counts, "each in the segment in which it was");
@@ -248,7 +249,7 @@ fn a_session_that_is_being_recorded_is_left_alone() {
 #[test]
 fn the_recorder_keeps_up_with_60_frames_and_500_measurements_a_second() {
     let room = Room::new();
-    let run = room.run(&format!("soak -o {CAPTURES} --seconds 4 --json {ROOM_ENOUGH}")).succeeds();
+    let run = room.run(&format!("measure soak -o {CAPTURES} --seconds 4 --json {ROOM_ENOUGH}")).succeeds();
     let report = run.json();
     assert_eq!(report["counts"]["dropped"], serde_json::json!({}), "{report}");
     assert!(report["counts"]["written"].as_u64() > Some(200), "{report}");
@@ -259,8 +260,9 @@ fn the_recorder_keeps_up_with_60_frames_and_500_measurements_a_second() {
 #[test]
 fn a_soak_that_costs_more_than_it_may_fails() {
     let room = Room::new();
-    let soak =
-        |most: &str| room.run(&format!("soak -o {CAPTURES} --seconds 1 --max-core-percent {most} {ROOM_ENOUGH}"));
+    let soak = |most: &str| {
+        room.run(&format!("measure soak -o {CAPTURES} --seconds 1 --max-core-percent {most} {ROOM_ENOUGH}"))
+    };
     soak("100000").succeeds();
     soak("0.0001").fails(1, &["% of a core, and 0.0001 % are allowed"]);
     soak("0").fails(2, &["more than 0"]);
@@ -269,7 +271,7 @@ fn a_soak_that_costs_more_than_it_may_fails() {
 #[test]
 fn what_is_no_session_is_neither_touched_nor_followed() {
     let room = Room::new();
-    room.run(&format!("soak -o {CAPTURES} --seconds 1 {ROOM_ENOUGH}")).succeeds();
+    room.run(&format!("measure soak -o {CAPTURES} --seconds 1 {ROOM_ENOUGH}")).succeeds();
     let session = only_session(&room);
     fs::write(session.join("notes.txt"), "mine").unwrap();
     fs::write(session.join("x.mcap.active"), "not ours").unwrap();
@@ -313,7 +315,7 @@ fn a_real_disk_full_for_a_while_loses_nothing_that_fits_into_memory() {
     let room = Room::new();
     let script = format!(
         "dd if=/dev/zero of={CAPTURES}/filler bs=1M count=10 status=none\n(sleep 2; rm {CAPTURES}/filler) &\n\
-         $rs soak -o {CAPTURES} --seconds 4 --rate 30 --frame-kb 40 --json --set recording.segment_mb=1 \
+         $rs measure soak -o {CAPTURES} --seconds 4 --rate 30 --frame-kb 40 --json --set recording.segment_mb=1 \
          --set recording.floor_mb=0 --set recording.floor_percent=0 >report.json; echo ended with $?\n\
          $rs sessions repair --captures {CAPTURES}; $rs sessions verify --captures {CAPTURES} && echo verified"
     );
@@ -329,7 +331,7 @@ fn a_real_disk_full_for_a_while_loses_nothing_that_fits_into_memory() {
 fn a_real_disk_that_fills_up_stops_frames_and_keeps_tags() {
     let room = Room::new();
     let script = format!(
-        "$rs soak -o {CAPTURES} --seconds 4 --rate 60 --frame-kb 80 --json --set recording.segment_mb=1 \
+        "$rs measure soak -o {CAPTURES} --seconds 4 --rate 60 --frame-kb 80 --json --set recording.segment_mb=1 \
          --set recording.floor_mb=6 --set recording.floor_percent=0 >report.json; echo ended with $?\n\
          $rs sessions verify --captures {CAPTURES} && echo verified; $rs sessions list --captures {CAPTURES} --json >list.json"
     );
@@ -350,7 +352,7 @@ fn a_real_disk_without_inodes_is_survived_until_there_are_some_again() {
     let script = format!(
         "mount -o remount,nr_inodes=60 {CAPTURES} || exit 77\n\
          (sleep 1; i=0; while true >{CAPTURES}/x$i; do i=$((i+1)); done; sleep 2; rm -f {CAPTURES}/x*) 2>/dev/null &\n\
-         $rs soak -o {CAPTURES} --seconds 6 --rate 30 --frame-kb 20 --json --set recording.segment_s=1 \
+         $rs measure soak -o {CAPTURES} --seconds 6 --rate 30 --frame-kb 20 --json --set recording.segment_s=1 \
          --set recording.floor_mb=1 --set recording.floor_percent=0 >report.json; echo ended with $?\n\
          $rs sessions verify --captures {CAPTURES} && echo verified; $rs sessions list --captures {CAPTURES} --json >list.json"
     );
@@ -374,7 +376,7 @@ fn segments_that_cannot_grow_are_given_up_and_nothing_is_lost() {
     let room = Room::new();
     let program = env!("CARGO_BIN_EXE_realitysim");
     let script = format!(
-        "trap '' XFSZ; ulimit -f 600; exec {program} soak -o {CAPTURES} --seconds 2 --rate 30 --frame-kb 20 --json {ROOM_ENOUGH}"
+        "trap '' XFSZ; ulimit -f 600; exec {program} measure soak -o {CAPTURES} --seconds 2 --rate 30 --frame-kb 20 --json {ROOM_ENOUGH}"
     );
     let output = Command::new("sh").args(["-c", &script]).current_dir(room.path("")).output().unwrap();
     assert!(output.status.success(), "{output:?}");
@@ -390,7 +392,7 @@ fn segments_that_cannot_grow_are_given_up_and_nothing_is_lost() {
 /// A finished session of three segments.
 fn three_segments(room: &Room) -> PathBuf {
     let stream = "--rate 100 --frame-kb 20 --set recording.segment_mb=1";
-    room.run(&format!("soak -o {CAPTURES} --seconds 2 {stream} {ROOM_ENOUGH}")).succeeds();
+    room.run(&format!("measure soak -o {CAPTURES} --seconds 2 {stream} {ROOM_ENOUGH}")).succeeds();
     let session = only_session(room);
     assert!(session.join("0002.mcap").is_file(), "three at least");
     session

@@ -138,7 +138,7 @@ fn a_log_of_broken_images_only_comes_to_its_end() {
 fn an_image_of_another_size_than_the_lens_is_named() {
     let room = Room::new();
     room.write_scene("scene.toml", |text| text.replace("\"lens.toml\"", "\"fisheye-640\""));
-    room.run("sim scene.toml -o large.mcap").succeeds();
+    room.run("scene render scene.toml -o large.mcap").succeeds();
     let large = super::support::read_log(&room.path("large.mcap"));
     let mut images = on(&large, IMAGE).cloned();
     let mut messages = walk().messages.clone();

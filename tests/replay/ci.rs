@@ -25,7 +25,7 @@ impl Repository {
             fs::copy(sample.join(file), repository.path(file)).unwrap();
         }
         fs::write(repository.path("recorded.mcap"), &walk().log).unwrap();
-        repository.run(&line_of("realitysim cut")).unwrap();
+        repository.run(&line_of("realitysim log cut")).unwrap();
         fs::remove_file(repository.path("recorded.mcap")).unwrap();
         repository
     }

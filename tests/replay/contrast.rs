@@ -11,7 +11,7 @@ fn faint_lines_are_refused_and_never_wrong() {
     let room = Room::new();
     let next = "[[effect]]\nkind = \"odometry_error\"";
     room.write_scene("scene.toml", |text| text.replacen(next, &format!("{WORN}\n{next}"), 1));
-    let report = room.run("contrast scene.toml -o out --json").succeeds().json();
+    let report = room.run("measure contrast scene.toml -o out --json").succeeds().json();
     let steps = report["steps"].as_array().expect("steps");
     assert_eq!((steps.len(), report["variants"][0]["name"].as_str()), (10, Some("gauss, refined")));
     let number = |step: usize, key: &str| steps[step]["tags"][0][key].as_u64().expect("a number");
@@ -30,5 +30,5 @@ fn faint_lines_are_refused_and_never_wrong() {
 fn a_scene_without_worn_lines_is_told_what_it_lacks() {
     let room = Room::new();
     room.write_scene("scene.toml", |text| text);
-    room.run("contrast scene.toml").fails(2, &["scene.toml", "worn_lines"]);
+    room.run("measure contrast scene.toml").fails(2, &["scene.toml", "worn_lines"]);
 }

@@ -24,7 +24,7 @@ fn a_piece_of_a_capture_replays_to_the_same_tags_bit_for_bit() {
     let room = Room::with_walk();
     let whole = room.replay("log.mcap --set recording.segment_s=2");
     let session = session_name(&whole);
-    let report = room.run(&format!("cut {session} --from 2.5 --to 3.5 -o piece.mcap --json")).succeeds().json();
+    let report = room.run(&format!("log cut {session} --from 2.5 --to 3.5 -o piece.mcap --json")).succeeds().json();
     let begins = report["from_s"].as_f64().unwrap();
     assert!((1.4..=2.5).contains(&begins), "{report}");
     let piece = room.replay("piece.mcap");
@@ -44,7 +44,7 @@ fn a_piece_of_a_capture_replays_to_the_same_tags_bit_for_bit() {
 #[test]
 fn a_piece_of_a_log_keeps_its_truth() {
     let room = Room::with_walk();
-    let run = room.run("cut log.mcap --from 1 --to 2 -o piece.mcap").succeeds();
+    let run = room.run("log cut log.mcap --from 1 --to 2 -o piece.mcap").succeeds();
     assert!(run.stdout.contains("piece.mcap") && run.stdout.contains("frames"), "{run:?}");
     let piece = room.replay("piece.mcap");
     assert_same(&piece.tags, &same_frames(&piece.tags), "the piece");
@@ -52,7 +52,7 @@ fn a_piece_of_a_log_keeps_its_truth() {
     let judged = room.run(&format!("eval {} --truth piece.mcap --json", session_name(&piece))).succeeds().json();
     assert_eq!(judged["without_truth"], 0);
     // A piece of a piece.
-    room.run("cut piece.mcap --from 0 --to 0.5 -o smaller.mcap").succeeds();
+    room.run("log cut piece.mcap --from 0 --to 0.5 -o smaller.mcap").succeeds();
     let smaller = room.replay("smaller.mcap");
     assert_same(&smaller.tags, &same_frames(&smaller.tags), "the smaller piece");
     assert!(frames_of(&room.path("smaller.mcap")) < frames_of(&room.path("piece.mcap")));
@@ -79,7 +79,7 @@ fn an_incident_of_five_seconds_out_of_a_long_recording_is_small() {
     }
     let room = Room::with_log(&long);
     let from = 2.2 * last as f64 * 1e-9;
-    room.run(&format!("cut log.mcap --from {from} --to {} -o piece.mcap", from + 2.0)).succeeds();
+    room.run(&format!("log cut log.mcap --from {from} --to {} -o piece.mcap", from + 2.0)).succeeds();
     let (whole, piece) = (frames_of(&room.path("log.mcap")), frames_of(&room.path("piece.mcap")));
     assert!((20..=32).contains(&piece) && whole > 3 * piece, "{piece} of {whole}");
     let bytes = |name: &str| fs::metadata(room.path(name)).unwrap().len();
@@ -97,11 +97,11 @@ fn a_piece_with_images_encoded_anew_is_smaller_and_a_test_of_its_own() {
     let bytes = |room: &Room, name: &str| fs::metadata(room.path(name)).unwrap().len();
     let raw = Room::new();
     raw.write_scene("scene.toml", |text| text.replace("jpeg_quality = 90\n", ""));
-    raw.run("sim scene.toml -o log.mcap").succeeds();
+    raw.run("scene render scene.toml -o log.mcap").succeeds();
     // Beside a quarter of a usual picture's pixels what other sensors say counts.
     for (room, times) in [(Room::with_walk(), 1.5), (raw, 10.0)] {
-        room.run("cut log.mcap --from 1 --to 3 -o whole.mcap").succeeds();
-        room.run("cut log.mcap --from 1 --to 3 --jpeg-quality 50 -o small.mcap").succeeds();
+        room.run("log cut log.mcap --from 1 --to 3 -o whole.mcap").succeeds();
+        room.run("log cut log.mcap --from 1 --to 3 --jpeg-quality 50 -o small.mcap").succeeds();
         let (whole, small) = (bytes(&room, "whole.mcap"), bytes(&room, "small.mcap"));
         assert!(times * (small as f64) < whole as f64, "{small} of {whole}");
         let images = |name: &str| -> Vec<Vec<u8>> {
@@ -119,11 +119,11 @@ fn a_piece_with_images_encoded_anew_is_smaller_and_a_test_of_its_own() {
         }
         // Once more would make nothing smaller: what is there stays, and the gate holds it.
         room.run("replay small.mcap --check tags.jsonl --bless").succeeds();
-        room.run("cut small.mcap --from 0 --to 3 --jpeg-quality 100 -o again.mcap").succeeds();
+        room.run("log cut small.mcap --from 0 --to 3 --jpeg-quality 100 -o again.mcap").succeeds();
         assert!(images("small.mcap") == images("again.mcap"));
         room.run("replay small.mcap --check tags.jsonl").succeeds();
         for quality in ["0", "101", "x"] {
-            room.run(&format!("cut log.mcap --from 1 --to 2 --jpeg-quality {quality} -o x.mcap"))
+            room.run(&format!("log cut log.mcap --from 1 --to 2 --jpeg-quality {quality} -o x.mcap"))
                 .fails(2, &["--jpeg-quality"]);
         }
     }
@@ -139,11 +139,11 @@ fn what_is_not_there_cannot_be_cut() {
         ("--from 500 --to 600 -o x.mcap", 1, vec!["log.mcap: no frame between 500 and 600 s", "it lasts"]),
         ("--from 1 --to 2 -o log.mcap", 2, vec!["is read"]),
     ] {
-        room.run(&format!("cut log.mcap {arguments}")).fails(code, &words);
+        room.run(&format!("log cut log.mcap {arguments}")).fails(code, &words);
         assert!(!room.path("x.mcap").exists(), "{arguments}");
     }
     assert_eq!(fs::read(room.path("log.mcap")).unwrap(), walk().log);
-    room.run("cut none.mcap --from 1 --to 2 -o x.mcap").fails(1, &["none.mcap"]);
+    room.run("log cut none.mcap --from 1 --to 2 -o x.mcap").fails(1, &["none.mcap"]);
 }
 
 #[test]
@@ -154,13 +154,13 @@ fn a_piece_says_what_was_drawn_for_the_whole_scene() {
         let plain = text.split("[[effect]]").next().unwrap().to_owned();
         plain + "\n[[effect]]\nkind = \"light\"\ngain = { uniform = [0.7, 0.9], per = \"episode\" }\n"
     });
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let told: Vec<DiagnosticArray> = decode_all(&read_log(&room.path("log.mcap")), DRAWN);
     assert_eq!(told.len(), 1);
     let session = session_name(&room.replay("log.mcap --set recording.segment_s=1"));
     for (source, piece) in [("log.mcap", "a.mcap"), (&session, "b.mcap"), ("a.mcap", "c.mcap")] {
         let (from, to) = if source == "a.mcap" { (0.5, 1.0) } else { (2.2, 3.8) };
-        let report = room.run(&format!("cut {source} --from {from} --to {to} -o {piece} --json")).succeeds().json();
+        let report = room.run(&format!("log cut {source} --from {from} --to {to} -o {piece} --json")).succeeds().json();
         let messages = read_log(&room.path(piece));
         assert_eq!(decode_all::<DiagnosticArray>(&messages, DRAWN), told, "{source}");
         let spans = messages.last().unwrap().log_time_ns - messages[0].log_time_ns;

@@ -173,8 +173,9 @@ fn the_gap_is_least_for_the_exact_view_and_any_detector_can_judge() {
     room.write("detector.sh", script);
     std::process::Command::new("chmod").arg("+x").arg(room.path("detector.sh")).status().expect("chmod");
     let detector = room.path("detector.sh").display().to_string();
-    let run =
-        room.run(&format!("gap --db db --frames 3 --apart 0.03 --detector {detector} -o gap.png --json")).succeeds();
+    let run = room
+        .run(&format!("measure gap --db db --frames 3 --apart 0.03 --detector {detector} -o gap.png --json"))
+        .succeeds();
     let rows = run.json();
     let row = |form: &str| {
         let rows = rows.as_array().expect("rows");
@@ -190,14 +191,16 @@ fn the_gap_is_least_for_the_exact_view_and_any_detector_can_judge() {
         assert!((0.0..=1.0).contains(&of(form, "histogram")));
     }
     assert!(of("recorded", "histogram") == 0.0 && image::open(room.path("gap.png")).is_ok());
-    room.run("gap --db db --frames 1 --detector /bin/false").fails(1, &["one finite number is needed"]);
-    room.run("gap --db db --apart 100").fails(1, &["no image has others around it"]);
+    room.run("measure gap --db db --frames 1 --detector /bin/false").fails(1, &["one finite number is needed"]);
+    room.run("measure gap --db db --apart 100").fails(1, &["no image has others around it"]);
 }
 
 #[test]
 fn a_walk_through_a_database_is_smooth_and_leaves_its_pictures() {
     let (room, _) = walked();
-    let run = room.run("view-walk --db db --from=-1.9,0.12,12 --to=-1.2,0.27,14 --frames 12 -o walk --json").succeeds();
+    let run = room
+        .run("measure view-walk --db db --from=-1.9,0.12,12 --to=-1.2,0.27,14 --frames 12 -o walk --json")
+        .succeeds();
     let report = run.json();
     assert_eq!(report["views"], 12);
     assert!(report["not_found"].as_u64() < Some(4), "{report}");
@@ -206,7 +209,7 @@ fn a_walk_through_a_database_is_smooth_and_leaves_its_pictures() {
     assert_eq!(table.lines().count(), 13);
     assert!(fs::read(room.path("walk/walk.avi")).expect("written").starts_with(b"RIFF"));
     assert!(image::open(room.path("walk/sheet.png")).is_ok());
-    room.run("view-walk --db none -o other").fails(1, &["there is no database here"]);
+    room.run("measure view-walk --db none -o other").fails(1, &["there is no database here"]);
 }
 
 #[test]
@@ -368,7 +371,7 @@ fn the_one_image_that_looks_there_is_found_among_a_hundred_nearer_ones() {
 fn goals_stand_where_images_show_them() {
     let room = Room::new();
     room.write_scene("near.toml", |text| text.replace("[[-2.0, 0.1], [-1.1, 0.3]]", "[[0.6, 0.0], [1.5, 0.1]]"));
-    room.run("sim near.toml -o near.mcap").succeeds();
+    room.run("scene render near.toml -o near.mcap").succeeds();
     let replayed = room.replay("near.mcap");
     let session = replayed.session.display().to_string();
     room.run(&format!("db add {session} --db db")).succeeds();

@@ -50,7 +50,7 @@ fn a_scene_of_another_lens_and_raw_images_gives_the_same_tags_as_its_log() {
                 .replace("rate_hz = 10.0", "rate_hz = 2.0")
         };
         room.write_scene("scene.toml", scene);
-        room.run("sim scene.toml -o log.mcap").succeeds();
+        room.run("scene render scene.toml -o log.mcap").succeeds();
         assert_same(&room.replay("scene.toml").tags, &room.replay("log.mcap").tags, name);
     }
 }

@@ -130,7 +130,7 @@ fn what_is_no_capture_cannot_be_exported_or_judged() {
 #[test]
 fn info_tells_what_a_log_holds() {
     let room = Room::with_walk();
-    let info = room.run("info log.mcap --json").succeeds().json();
+    let info = room.run("log info log.mcap --json").succeeds().json();
     let topic = |info: &Value, name: &str| {
         info["topics"].as_array().unwrap().iter().find(|topic| topic["topic"] == name).cloned().unwrap()
     };
@@ -141,13 +141,13 @@ fn info_tells_what_a_log_holds() {
     assert!(info["files"][0]["indexed"].as_bool().unwrap());
 
     let session = session_of(&room, "log.mcap --set recording.segment_s=1");
-    let info = room.run(&format!("info {session} --json")).succeeds().json();
+    let info = room.run(&format!("log info {session} --json")).succeeds().json();
     assert!(info["files"].as_array().unwrap().len() >= 3);
     assert_eq!(topic(&info, "/frame_tag")["messages"], walk().frames());
     assert_eq!(info["files"][1]["attachments"][0], "filter_state");
 
     room.write("torn.mcap", &walk().log[..walk().log.len() - 10_000]);
-    let torn = room.run("info torn.mcap").fails(3, &[]);
+    let torn = room.run("log info torn.mcap").fails(3, &[]);
     assert!(torn.stdout.contains("torn"), "{torn:?}");
     assert!(torn.stdout.contains("/odom"), "what is left is told all the same");
 }

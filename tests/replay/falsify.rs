@@ -12,7 +12,7 @@ const WORN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/turf/worn.mc
 fn nothing_false_gives_a_valid_tag_that_is_wrong() {
     let room = Room::new();
     room.write("log.mcap", std::fs::read(WORN).expect("a log"));
-    let report = room.run("falsify log.mcap --field kid-2020 --json").succeeds().json();
+    let report = room.run("measure falsify log.mcap --field kid-2020 --json").succeeds().json();
     let controls = report["sources"][0]["controls"].as_array().expect("controls");
     let of_truth: Vec<&Value> = controls.iter().filter(|control| control["is_true"] == true).collect();
     assert_eq!(of_truth.len(), 2, "with the start announced and without");
@@ -29,7 +29,7 @@ fn nothing_false_gives_a_valid_tag_that_is_wrong() {
 #[test]
 fn valid_tags_far_from_the_truth_are_a_failure() {
     let elsewhere = changed::<PoseStamped>(&walk().messages, TRUTH, |truth| truth.pose.position.x += 1.0);
-    let run = Room::with_log(&elsewhere).run("falsify log.mcap --for 3 --json").fails(1, &[]);
+    let run = Room::with_log(&elsewhere).run("measure falsify log.mcap --for 1 --json").fails(1, &[]);
     let report = run.json();
     assert!(report["wrong"].as_u64() > Some(0), "{report}");
     assert_eq!(report["wrong"], report["valid"], "{report}");
@@ -38,5 +38,5 @@ fn valid_tags_far_from_the_truth_are_a_failure() {
 #[test]
 fn a_log_without_truth_is_told_what_it_lacks() {
     let room = Room::with_log(&without(&walk().messages, TRUTH));
-    room.run("falsify log.mcap").fails(2, &["log.mcap", "no ground truth"]);
+    room.run("measure falsify log.mcap").fails(2, &["log.mcap", "no ground truth"]);
 }

@@ -13,7 +13,7 @@ const CROWD: &str = "[[effect]]\nkind = \"obstacles\"\nfigures = [\n{ shape = \"
 fn what_stands_in_a_recorded_image_is_marked_unless_the_config_says_no() {
     let room = Room::new();
     room.write_scene("scene.toml", |text| text.split("[[effect]]").next().expect("a scene").to_owned() + CROWD);
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let session = session_name(&room.replay("log.mcap"));
     room.run(&format!("db add {session} --db db")).succeeds();
     let mut settings = Settings::default().views;

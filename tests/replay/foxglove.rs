@@ -91,7 +91,7 @@ fn joints_of_foxglove_turn_the_head() {
                 tilt_amplitude_deg = 8.0\ntilt_period_s = 2.7\nencoder_noise_deg = 0.05\n\n";
     let odometry = "[[effect]]\nkind = \"odometry_error\"";
     ros.write_scene("scene.toml", |text| text.replace(odometry, &format!("{head}{odometry}")));
-    ros.run("sim scene.toml -o log.mcap").succeeds();
+    ros.run("scene render scene.toml -o log.mcap").succeeds();
     let messages = super::support::read_log(&ros.path("log.mcap"));
     assert!(on(&messages, "/joint_states").next().is_some());
     let expected = ros.replay("log.mcap");

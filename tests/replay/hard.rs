@@ -67,7 +67,7 @@ fn random_bytes(mut state: u64) -> impl Iterator<Item = u8> {
 /// What a camera with a broken cable sends, from the first frame on and in the middle of a walk.
 #[test]
 fn pictures_of_noise_give_no_valid_tag() {
-    for (quality, channels, first) in [(90, 3, 0), (60, 1, 0), (25, 3, 0), (90, 3, 20)] {
+    for (quality, channels, first) in [(90, 3, 0), (25, 1, 0), (90, 3, 20)] {
         let mut index = 0;
         let messages = changed::<CompressedImage>(&walk().messages, IMAGE, |image| {
             index += 1;
@@ -177,7 +177,7 @@ fn frozen_odometry_with_a_narrow_lens_and_no_gyro_gives_no_wrong_tags() {
     let narrow = "title = \"75 degrees\"\nwidth = 320\nheight = 240\nfx = 210.0\nfy = 210.0\ncx = 159.5\ncy = 119.5\n\
                   model = \"plumb_bob\"\nd = [0.0, 0.0, 0.0, 0.0, 0.0]\n";
     room.write("lens.toml", narrow);
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     assert_never_wrong(&room, &room.replay("log.mcap"), 0.5, "frozen before a narrow lens");
 }
 
@@ -332,7 +332,7 @@ fn beside_the_end_of_the_picture(route: &str, initial_pose: &str) -> Replayed {
              [odometry]\nrate_hz = 50.0\n\n[imu]\nrate_hz = 100.0\n"
         ),
     );
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let replayed = room.replay("log.mcap");
     let judged = room.run(&format!("eval {} --truth log.mcap --json", session_name(&replayed))).succeeds().json();
     println!("{judged:#}");

@@ -159,7 +159,7 @@ fn sizes_that_no_machine_has_are_refused() {
     }
     room.run("view --db db --x 1e308 --y 0 --z 0.5 --yaw 0 -o out.png")
         .fails(2, &["a number from -100 to 100 is needed"]);
-    room.run("gap --db db --apart nan").fails(2, &["a number from 0 to 1000 is needed"]);
+    room.run("measure gap --db db --apart nan").fails(2, &["a number from 0 to 1000 is needed"]);
     room.run("db add log.mcap --db other").fails(1, &["neither a capture (with session.json) nor a folder of images"]);
     room.run("serve --db db --token-file /dev/zero").fails(1, &["/dev/zero", "it is a device"]);
 }
@@ -182,7 +182,7 @@ fn a_walk_of_views_without_lines_measures_nothing() {
     let room = Room::new();
     folder(&room, "one", "0.1,0.2,0.5,10,20,0");
     room.run("db add one --db db --field kid-2009").succeeds();
-    let walk = "view-walk --db db --from 0.1,0.2,10 --to 0.12,0.2,10 --frames 2 -o walk";
+    let walk = "measure view-walk --db db --from 0.1,0.2,10 --to 0.12,0.2,10 --frames 2 -o walk";
     let said = room.run(walk).succeeds().stdout;
     assert!(said.contains("2 whose lines do not tell") && said.contains("position          -        -"), "{said}");
     let report = room.run(&format!("{walk} --json")).succeeds().json();

@@ -130,7 +130,7 @@ fn walks_through_every_other_model_are_tagged_with_the_same_bits() {
         room.write_scene("scene.toml", |text| text.replace("rate_hz = 10.0", "rate_hz = 3.0"));
         let size = "title = \"x\"\nwidth = 320\nheight = 240\ncx = 160.75\ncy = 117.75\n";
         room.write("lens.toml", format!("{size}{model}\n"));
-        room.run("sim scene.toml -o log.mcap").succeeds();
+        room.run("scene render scene.toml -o log.mcap").succeeds();
         let replayed = room.replay("log.mcap");
         assert_same(&room.replay("scene.toml").tags, &replayed.tags, model);
         assert_same(&room.replay("log.mcap --simd scalar").tags, &replayed.tags, model);

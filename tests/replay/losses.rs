@@ -55,7 +55,7 @@ fn assert_told(room: &Room, session: &str, words: &[&str]) {
     assert!(!images["lost"].as_array().unwrap().is_empty(), "{images}");
     assert_rows_fit_their_images(room, "frames");
     fs::remove_dir_all(room.path("frames")).expect("removable: an export wants a folder of its own");
-    let info = room.run(&format!("info {session}"));
+    let info = room.run(&format!("log info {session}"));
     assert_eq!(info.code, Some(3), "{info:?}");
     // There the file's name stands in a line of its own.
     for word in words.iter().flat_map(|words| words.splitn(2, ": ")) {
@@ -94,7 +94,7 @@ fn a_segment_that_is_gone_is_told() {
     fs::remove_file(&segments(&room.path(&session))[1]).unwrap();
     assert_told(&room, &session, &["0001.mcap: missing: manifest.jsonl lists it with", "frames"]);
     // One that is looked at alone is whole.
-    room.run(&format!("info {session}/0000.mcap")).succeeds();
+    room.run(&format!("log info {session}/0000.mcap")).succeeds();
     room.run(&format!("eval {session}/0000.mcap --truth log.mcap")).succeeds();
 }
 
@@ -178,21 +178,21 @@ fn info_checks_what_the_index_leads_to() {
     let room = Room::new();
     room.write("flipped.mcap", foreign_log(options(), &walk().messages));
     flip_in_an_image(&room.path("flipped.mcap"));
-    let info = room.run("info flipped.mcap").fails(3, &[]);
+    let info = room.run("log info flipped.mcap").fails(3, &[]);
     assert!(info.stdout.contains("damaged: 1 bad chunk") && info.stdout.contains("checksum"), "{info:?}");
-    let json = room.run("info flipped.mcap --json").fails(3, &[]).json();
+    let json = room.run("log info flipped.mcap --json").fails(3, &[]).json();
     assert_eq!((&json["checked"], &json["files"][0]["bad_chunks"]), (&Value::Bool(true), &Value::from(1)));
     assert!(json["messages"].as_u64().unwrap() < walk().messages.len() as u64, "what can be read is counted");
-    let quick = room.run("info flipped.mcap --quick").succeeds();
+    let quick = room.run("log info flipped.mcap --quick").succeeds();
     assert!(quick.stdout.contains("messages were not checked"), "it says what it did not do: {quick:?}");
-    let json = room.run("info flipped.mcap --quick --json").succeeds().json();
+    let json = room.run("log info flipped.mcap --quick --json").succeeds().json();
     assert_eq!((&json["checked"], &json["files"][0]["chunks_without_checksum"]), (&Value::Bool(false), &Value::Null));
 
     room.write("bare.mcap", foreign_log(options().calculate_chunk_crcs(false), &walk().messages));
-    let bare = room.run("info bare.mcap").succeeds();
+    let bare = room.run("log info bare.mcap").succeeds();
     assert!(bare.stdout.contains("of its chunks have no checksum"), "{bare:?}");
     room.write("loose.mcap", foreign_log(options().use_chunks(false), &walk().messages));
-    let loose = room.run("info loose.mcap").succeeds();
+    let loose = room.run("log info loose.mcap").succeeds();
     assert!(loose.stdout.contains("no chunks, and so no checksums"), "{loose:?}");
 }
 
@@ -203,7 +203,7 @@ fn info_checks_attachments() {
         let place = bytes.windows(8).position(|window| window == b"RSIMCKPT").unwrap();
         bytes[place + 200] ^= 4;
     });
-    let info = room.run(&format!("info {session}")).fails(3, &[]);
+    let info = room.run(&format!("log info {session}")).fails(3, &[]);
     assert!(info.stdout.contains("attachment \"filter_state\": expected the checksum"), "{info:?}");
 }
 

@@ -215,7 +215,7 @@ fn a_frame_after_a_long_gap_begins_where_odometry_and_gyro_have_led() {
         assert!(text.contains(round), "{text}");
         text + gap
     });
-    room.run("sim loop.toml -o true.mcap").succeeds();
+    room.run("scene render loop.toml -o true.mcap").succeeds();
     // Feet slip in each turn.
     let (mut before, mut slipped) = (None, Pose2::default());
     let messages = changed::<Odometry>(&read_log(&room.path("true.mcap")), ODOMETRY, |odometry| {

@@ -9,8 +9,8 @@ use super::support::Room;
 #[test]
 fn the_paper_is_repeated_in_short() {
     let room = Room::new();
-    room.write("paper.md", "<!-- begin: realitysim paper -->\n<!-- end: realitysim paper -->\n");
-    let run = room.run("paper --quick -o out --write-docs paper.md --json").succeeds();
+    room.write("paper.md", "<!-- begin: realitysim measure paper -->\n<!-- end: realitysim measure paper -->\n");
+    let run = room.run("measure paper --quick -o out --write-docs paper.md --json").succeeds();
     let report = run.json();
     let error = |set: &str, name: &str| {
         let runs = report[set].as_array().unwrap();

@@ -23,7 +23,7 @@ fn nothing_is_exported_into_a_capture() {
         room.run(&format!("demo -o {output}")).fails(2, &words);
     }
     room.write_scene("scene.toml", |text| text);
-    room.run(&format!("sim scene.toml -o {session}/0000.mcap")).fails(2, &words);
+    room.run(&format!("scene render scene.toml -o {session}/0000.mcap")).fails(2, &words);
     assert_eq!(names(), before);
 }
 
@@ -38,7 +38,7 @@ fn nothing_is_written_over_what_is_read() {
     let tag = "tag image.png --lens lens.toml --attitude 0,20 --height 0.5";
     for (command, file) in [
         ("export part.mcap --to tum -o part.mcap", "part.mcap"),
-        ("sim scene.toml -o scene.toml", "scene.toml"),
+        ("scene render scene.toml -o scene.toml", "scene.toml"),
         (&format!("{tag} --overlay image.png"), "image.png"),
         (&format!("{tag} --overlay lens.toml"), "lens.toml"),
     ] {
@@ -63,8 +63,8 @@ fn nothing_is_written_over_what_an_input_names() {
     room.write("logs.toml", case("log.mcap", "config = \"robot.toml\"\n"));
     let gate = "replay log.mcap --check";
     for (command, file) in [
-        ("sim scene.toml -o lens.toml", "lens.toml"),
-        ("sim scene.toml -o field.toml", "field.toml"),
+        ("scene render scene.toml -o lens.toml", "lens.toml"),
+        ("scene render scene.toml -o field.toml", "field.toml"),
         ("scene apply scene.toml --image image.png -o scene.toml", "scene.toml"),
         ("check scenes.toml --junit lens.toml", "lens.toml"),
         ("check scenes.toml --junit ./field.toml", "field.toml"),
@@ -76,7 +76,7 @@ fn nothing_is_written_over_what_an_input_names() {
         (&format!("{gate} lens.toml --bless --lens lens.toml#cam0"), "lens.toml"),
         (&format!("{gate} tags.jsonl --junit lens.toml --set camera.lens=lens.toml"), "lens.toml"),
         ("replay scene.toml --check lens.toml --bless", "lens.toml"),
-        ("cut log.mcap --from 1 --to 2 --config robot.toml -o lens.toml", "lens.toml"),
+        ("log cut log.mcap --from 1 --to 2 --config robot.toml -o lens.toml", "lens.toml"),
     ] {
         let before = fs::read(room.path(file)).unwrap();
         room.run(command).fails(2, &["would be written over", "choose another place"]).fails(2, &[file]);
@@ -105,7 +105,7 @@ fn a_place_that_cannot_be_written_is_named_with_what_to_do() {
         (format!("export {session} --to tum -o folder"), ["folder: cannot be written", "name a file"]),
         (format!("export {session} --to images -o taken"), ["taken: cannot be written", "name a folder"]),
         (format!("export {session} --to images -o taken/x"), ["taken/x: cannot be written", "not a folder"]),
-        ("sim scene.toml -o none/log.mcap".to_owned(), ["none/log.mcap: cannot be written", "make it first"]),
+        ("scene render scene.toml -o none/log.mcap".to_owned(), ["none/log.mcap: cannot be written", "make it first"]),
         ("demo -o taken".to_owned(), ["taken: cannot be written", "name a folder"]),
         ("tag none.jpg --lens lens.toml".to_owned(), ["none.jpg: cannot be read", "there is no such file"]),
     ] {
@@ -121,7 +121,7 @@ fn a_full_disk_behind_standard_output_is_told() {
     let Ok(full) = fs::OpenOptions::new().write(true).open("/dev/full") else { return };
     let room = Room::with_walk();
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_realitysim"))
-        .args(["info", "log.mcap"])
+        .args(["log", "info", "log.mcap"])
         .current_dir(room.path(""))
         .stdout(full)
         .output()

@@ -67,7 +67,7 @@ noise_m_per_m = 0.1
 fn replayed(field: &str, scene: String) -> (Room, Replayed) {
     let room = Room::new();
     room.write("scene.toml", scene);
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let replayed = room.replay(&format!("log.mcap --field {field}"));
     (room, replayed)
 }
@@ -228,7 +228,7 @@ fn missing_lines_and_surplus_lines_together_speak_against_a_pose() {
     let room = Room::new();
     room.write("lens.toml", LENS);
     room.write("scene.toml", scene("kid-2009", "lens.toml", "{ x_m = 0.0, y_m = 0.0, yaw_deg = 0.0 }", route, "", ""));
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let replayed = room.replay("log.mcap --field kid-2009");
     let tags = judged(&room, &replayed);
     let worst = tags.iter().filter(|(_, tag, _)| tag.valid).map(|(.., off)| *off).fold(0.0, f64::max);
@@ -242,7 +242,7 @@ fn a_picture_that_stands_still_while_the_robot_walks_is_not_believed() {
     let route = "kind = \"walk\"\nwaypoints = [[-1.4, -1.2], [1.2, 0.5]]\nspeed_m_s = 0.3\nturn_deg_s = 35";
     let room = Room::new();
     room.write("scene.toml", scene("kid-2009", "wide-640", TOLD, route, SWAY, ODOMETRY_ERROR));
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let whole = read_log(&room.path("log.mcap"));
     let began = whole[0].log_time_ns;
     let mut writer = LogWriter::new(Vec::new()).expect("a log");

@@ -67,7 +67,7 @@ fn one_walk_shows_a_wrong_lens_and_a_wrong_mount() {
              mount_pitch_deg = 1.0\nmount_roll_deg = 0.5\nheight_m = 0.015\n"
         )
     });
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let session = session_name(&room.replay("log.mcap"));
     let report = room.run(&format!("refine {session} --truth log.mcap --views 6 --json")).succeeds().json();
     let median = |when: &str, what: &str| report[when][what]["median"].as_f64().expect("judged");
@@ -125,7 +125,7 @@ fn refined_row_by_row(heard: impl Fn(&[LogMessage]) -> Vec<LogMessage>, readout_
         let (moves, senses) = turning.split_once("[[effect]]\nkind = \"odometry_error\"").expect("there");
         format!("{moves}{shutter}[[effect]]\nkind = \"odometry_error\"{senses}")
     });
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let room = Room::with_log(&heard(&read_log(&room.path("log.mcap"))));
     let session = session_name(&room.replay("log.mcap"));
     let judged = room.run(&format!("eval {session} --truth log.mcap --json")).succeeds().json();

@@ -40,7 +40,7 @@ fn a_file_that_is_no_log_is_told_by_what_it_is() {
         room.run(&format!("replay {source} -o captures")).fails(1, &words);
         assert!(!room.path("captures").exists());
         if !source.ends_with(".toml") {
-            room.run(&format!("info {source}")).fails(1, &words);
+            room.run(&format!("log info {source}")).fails(1, &words);
         }
     }
 }

@@ -72,7 +72,7 @@ fn a_wrong_scene_is_refused_with_its_line_wherever_it_is_used() {
     let room = room_with("kind = \"sensor_noise\"\nread_noise_dn = -3\nshot_noise_factor = 0.1");
     for command in [
         "scene check scene.toml",
-        "sim scene.toml -o log.mcap",
+        "scene render scene.toml -o log.mcap",
         "replay scene.toml -o captures",
         "scene apply scene.toml --image in.png -o out.png",
     ] {
@@ -88,7 +88,7 @@ fn what_was_drawn_is_in_the_log_and_in_its_capture() {
         "kind = \"light\"\ngain = { uniform = [0.5, 0.9], per = \"frame\" }\n\
          camera_gain = { uniform = [1, 1.5], per = \"episode\" }",
     );
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let told: Vec<DiagnosticArray> = decode_all(&read_log(&room.path("log.mcap")), DRAWN);
     let replayed = room.replay("log.mcap");
     assert_eq!(told.len(), 1 + replayed.tags.len(), "once for all, and with each frame");
@@ -110,7 +110,7 @@ fn what_was_drawn_is_in_the_log_and_in_its_capture() {
     let kept: Vec<DiagnosticArray> = decode_all(&read_capture(&replayed.session), DRAWN);
     assert_eq!(kept, told);
     let plain = room_with("");
-    plain.run("sim scene.toml -o log.mcap").succeeds();
+    plain.run("scene render scene.toml -o log.mcap").succeeds();
     assert_eq!(decode_all::<DiagnosticArray>(&read_log(&plain.path("log.mcap")), DRAWN), []);
 }
 
@@ -164,7 +164,7 @@ fn a_scene_that_loses_its_first_odometry_gives_the_tags_of_its_log() {
         let text = fs::read_to_string(room.path("scene.toml")).unwrap();
         let line = text.lines().find(|line| line.starts_with("seed = ")).unwrap().to_owned();
         room.write("scene.toml", text.replace(&line, &format!("seed = {seed}")));
-        room.run("sim scene.toml -o log.mcap").succeeds();
+        room.run("scene render scene.toml -o log.mcap").succeeds();
         let messages = read_log(&room.path("log.mcap"));
         let first = |topic: &str| on(&messages, topic).next().unwrap().log_time_ns;
         if first(ODOMETRY) > first(IMAGE) {
@@ -204,10 +204,10 @@ fn paths_in_a_scene_start_at_its_folder() {
     fs::rename(room.path("lens.toml"), room.path("robot/lens.toml")).unwrap();
     room.write("robot/scenes/field.toml", include_str!("../../config/fields/kid-2009.toml"));
     room.write("robot/suite.toml", "[[case]]\nsource = \"scenes/walk.toml\"\nlimits = { mean_cm = 5.0 }\n");
-    room.run("sim robot/scenes/walk.toml -o log.mcap").succeeds();
+    room.run("scene render robot/scenes/walk.toml -o log.mcap").succeeds();
     room.run("check robot/suite.toml").succeeds();
     for file in ["robot/lens.toml", "robot/scenes/field.toml"] {
-        room.run(&format!("sim robot/scenes/walk.toml -o {file}")).fails(2, &["would be written over"]);
+        room.run(&format!("scene render robot/scenes/walk.toml -o {file}")).fails(2, &["would be written over"]);
     }
     fs::rename(room.path("robot/lens.toml"), room.path("lens.toml")).unwrap();
     room.run("scene check robot/scenes/walk.toml").fails(2, &["line 9: robot/scenes/../lens.toml: cannot be read"]);
@@ -218,7 +218,7 @@ fn what_is_no_scene_file_is_told_as_such() {
     let room = Room::new();
     fs::create_dir(room.path("folder.toml")).unwrap();
     room.write("latin.toml", b"[scene]\ntitle = \"\xe9\"\n");
-    for command in ["scene check", "sim -o log.mcap", "replay -o captures"] {
+    for command in ["scene check", "scene render -o log.mcap", "replay -o captures"] {
         room.run(&format!("{command} folder.toml")).fails(1, &["folder.toml: it is a folder"]);
         room.run(&format!("{command} latin.toml")).fails(1, &["latin.toml: it is not UTF-8"]);
     }

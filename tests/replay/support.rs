@@ -49,7 +49,7 @@ pub fn walk() -> &'static Walk {
     WALK.get_or_init(|| {
         let room = Room::new();
         room.write_scene("scene.toml", |text| text);
-        room.run("sim scene.toml -o log.mcap").succeeds();
+        room.run("scene render scene.toml -o log.mcap").succeeds();
         let log = fs::read(room.path("log.mcap")).unwrap();
         let messages = read_log(&room.path("log.mcap"));
         let tags = room.replay("log.mcap").tags;

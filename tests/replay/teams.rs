@@ -41,7 +41,7 @@ fn pinhole_walk() -> &'static [LogMessage] {
         let room = Room::new();
         room.write_scene("scene.toml", |text| text.replace("jpeg_quality = 90\n", ""));
         room.write("lens.toml", PINHOLE);
-        room.run("sim scene.toml -o log.mcap").succeeds();
+        room.run("scene render scene.toml -o log.mcap").succeeds();
         read_log(&room.path("log.mcap"))
     })
 }
@@ -302,11 +302,11 @@ fn a_log_of_bit_bots_is_tagged_as_it_is() {
     assert_eq!(choice(report, "odometry"), ("/motion_odometry", "only topic of this type"));
     assert_eq!(choice(report, "imu"), ("/imu/data", "configured"));
     assert_eq!(report["warnings"], serde_json::json!([]));
-    let info = room.run("info log.mcap --json").succeeds().json();
+    let info = room.run("log info log.mcap --json").succeeds().json();
     for measurement in ["image", "camera_info", "odometry", "imu", "tf", "tf_static"] {
         assert_eq!(choice(&info, measurement), choice(report, measurement), "{info}");
     }
-    let told = room.run("info log.mcap").succeeds().stdout;
+    let told = room.run("log info log.mcap").succeeds().stdout;
     assert!(told.contains("a replay reads:") && told.contains("beside the image topic"), "{told}");
 }
 
@@ -334,7 +334,7 @@ fn a_log_of_booster_is_tagged_as_it_is() {
 fn a_log_of_hulks_is_tagged_once_the_eye_is_named() {
     let room = Room::with_log(&hulks());
     room.run("replay log.mcap -o captures").fails(1, &["topics.image", "/inputs/left_image", "/inputs/right_image"]);
-    let info = room.run("info log.mcap --json").succeeds().json();
+    let info = room.run("log info log.mcap --json").succeeds().json();
     assert!(info["unclear"].as_str().is_some_and(|said| said.contains("/inputs/left_image")), "{info}");
     let replayed = replayed(&room, "--set topics.image=/inputs/left_image");
     assert_eq!(choice(&replayed.report, "camera_info"), ("/inputs/camera_info", "beside the image topic"));

@@ -38,7 +38,7 @@ fn the_only_topic_of_a_type_is_found_by_itself() {
     assert_eq!(added["images"], valid);
     let shown = room.run(&format!("sessions show {session} --json")).succeeds().json();
     assert!(shown["coverage"]["filled"].as_u64() > Some(0), "{shown}");
-    let played = room.run(&format!("play {session} --video out.mjpeg --speed 20 --json")).succeeds().json();
+    let played = room.run(&format!("log play {session} --video out.mjpeg --speed 20 --json")).succeeds().json();
     assert_eq!(played["images"], walk().frames());
     // A repair that has nothing but the segments counts what the manifest had.
     let manifest = replayed.session.join("manifest.jsonl");
@@ -69,7 +69,7 @@ fn a_command_that_finds_nothing_to_do_says_so_and_fails() {
     room.run(&format!("db add {session} --db db"))
         .fails(1, &["nothing was added", "no image on /other/image", "settings.topics.image"]);
     room.run("db stats --db db").fails(1, &["there is no database here"]);
-    room.run(&format!("play {session} --video out.mjpeg --speed 20"))
+    room.run(&format!("log play {session} --video out.mjpeg --speed 20"))
         .fails(1, &["nothing in it can be played: no image on /other/image"]);
 }
 

@@ -27,7 +27,7 @@ fn a_capture_holds_no_truth() {
     let room = Room::with_walk();
     let replayed = room.replay("log.mcap");
     assert_eq!(on(&read_capture(&replayed.session), TRUTH).count(), 0);
-    let info = room.run(&format!("info {} --json", replayed.session.display())).succeeds().json();
+    let info = room.run(&format!("log info {} --json", replayed.session.display())).succeeds().json();
     assert!(!info.to_string().contains("ground_truth"), "{info}");
 }
 

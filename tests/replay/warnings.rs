@@ -45,7 +45,7 @@ fn a_lens_that_is_not_as_it_was_calibrated_is_told_and_allowed_for() {
             "{text}\n[[effect]]\nkind = \"calibration_error\"\nrole = \"base\"\nfocal_percent = 0.6\ncentre_px = [1.5, -1.5]\n"
         )
     });
-    room.run("sim scene.toml -o log.mcap").succeeds();
+    room.run("scene render scene.toml -o log.mcap").succeeds();
     let replayed = room.replay("log.mcap --field kid-2009");
     let warnings = replayed.report["warnings"].as_array().expect("warnings");
     let focal_percent = |said: &str| said.split("focal length ").nth(1)?.split(" %").next()?.parse::<f64>().ok();

@@ -33,8 +33,8 @@ const WRONG: [Wrong; 62] = [
     ("replay log.mcap -o out --alpha x", 2, &["--alpha", "a number is needed"]),
     ("replay log.mcap -o out --threads 0", 2, &["--threads", "1 to 64"]),
     ("replay log.mcap -o out --initial 1,2", 2, &["x,y,yaw_deg", "3 numbers, and there are 2"]),
-    ("cut log.mcap --from x --to 2 -o out.mcap", 2, &["--from", "a number is needed"]),
-    ("cut log.mcap --from 0 --to 2 -o out.mcap --jpeg-quality 101", 2, &["a whole number from 1 to 100 is needed"]),
+    ("log cut log.mcap --from x --to 2 -o out.mcap", 2, &["--from", "a number is needed"]),
+    ("log cut log.mcap --from 0 --to 2 -o out.mcap --jpeg-quality 101", 2, &["a whole number from 1 to 100 is needed"]),
     ("view --db db --x 101 --y 0 --z 0.5 --yaw 0 -o out.png", 2, &["--x", "a number from -100 to 100 is needed"]),
     ("view --db db --x 0 --y 0 --z 0 --yaw 0 -o out.png", 2, &["--z", "a number from 0.02 to 20 is needed"]),
     ("view --db db --x 0 --y 0 --z 1 --yaw 0 -o out.png --width 9", 2, &["a whole number from 16 to 4096 is needed"]),
@@ -42,12 +42,12 @@ const WRONG: [Wrong; 62] = [
     ("serve --db db --listen 80", 2, &["--listen", "an address and a port are needed, as in 127.0.0.1:8765"]),
     ("serve --db db --threads 65", 2, &["a whole number from 1 to 64 is needed"]),
     ("tag picture.jpg --lens fisheye-640 --attitude 0,20 --height x", 2, &["--height", "a number is needed"]),
-    ("soak -o out --seconds x", 2, &["--seconds", "a number is needed"]),
+    ("measure soak -o out --seconds x", 2, &["--seconds", "a number is needed"]),
     ("db coverage --db db --headings 0", 2, &["a whole number from 1 to 360 is needed"]),
     ("sessions prune --older-than x", 2, &["--older-than", "a whole number, 0 or more, is needed"]),
     // What a file is.
     ("replay picture.jpg -o out", 1, &["picture.jpg", "is a JPEG picture", "`realitysim tag`"]),
-    ("info picture.jpg", 1, &["is a JPEG picture", "`realitysim tag`"]),
+    ("log info picture.jpg", 1, &["is a JPEG picture", "`realitysim tag`"]),
     ("replay text.txt -o out", 1, &["text.txt: an MCAP log is needed, and this file is a text"]),
     ("replay archive.zip -o out", 1, &["a ZIP archive: unpack it first"]),
     ("replay old.bag -o out", 1, &["a bag of ROS 1", "rosbags-convert"]),
@@ -59,7 +59,7 @@ const WRONG: [Wrong; 62] = [
     ("export captures --to tum -o out.txt", 1, &["name the capture or bag in it, captures/2"]),
     ("replay captures -o out", 1, &["name the capture or bag in it, captures/2"]),
     ("refine captures", 1, &["session.json; name the capture in it, captures/2"]),
-    ("play captures --video out.mjpeg", 1, &["name the capture in it, captures/2"]),
+    ("log play captures --video out.mjpeg", 1, &["name the capture in it, captures/2"]),
     ("replay folder -o out", 1, &["the folder holds no .mcap file", "a capture's"]),
     (
         "eval captures/SESSION --truth log.mcap --truth-topic /nope",
@@ -75,19 +75,19 @@ const WRONG: [Wrong; 62] = [
     // What is not there.
     ("replay none.mcap -o out", 1, &["none.mcap: there is no such file or folder"]),
     ("eval none --truth log.mcap", 1, &["none: there is no such file or folder"]),
-    ("sim none.toml -o out.mcap", 1, &["none.toml: there is no such file or folder"]),
+    ("scene render none.toml -o out.mcap", 1, &["none.toml: there is no such file or folder"]),
     ("check none.toml", 2, &["none.toml: there is no such file or folder"]),
-    ("cost none.mcap", 1, &["none.mcap: there is no such file or folder"]),
+    ("measure cost none.mcap", 1, &["none.mcap: there is no such file or folder"]),
     ("replay log.mcap -o out --config none.toml", 2, &["none.toml", "there is no such file"]),
     ("sessions list --captures none", 2, &["there is no such folder"]),
     ("db stats --db none", 1, &["there is no database here", "realitysim db add"]),
-    ("status --socket none.sock", 1, &["no recorder is running there"]),
+    ("recorder status --socket none.sock", 1, &["no recorder is running there"]),
     // Where nothing can be made.
     ("replay log.mcap -o /proc/x", 1, &["/proc/x: no folder can be made there"]),
     ("demo -o /proc/x", 1, &["/proc/x: cannot be written: no folder can be made there"]),
     ("replay log.mcap -o text.txt/x", 1, &["text.txt", "not a folder"]),
     ("export captures --to tum -o none/out.txt", 1, &["captures"]),
-    ("sim scene.toml -o none/out.mcap", 1, &["none/out.mcap", "make it first"]),
+    ("scene render scene.toml -o none/out.mcap", 1, &["none/out.mcap", "make it first"]),
 ];
 
 #[test]

@@ -1,6 +1,6 @@
 //! `realitysim serve`, asked by real clients over real sockets: what is right, what is wrong, and those who mean no good.
 
-mod client;
+pub mod client;
 mod figures;
 mod hostile;
 mod openapi;

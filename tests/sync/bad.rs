@@ -266,8 +266,8 @@ fn a_pipe_or_a_device_in_the_place_of_a_file_is_named_and_not_waited_for() {
             }
             made.expect("made");
             for command in [
-                "info --quick robot/s",
-                "info robot/s",
+                "log info --quick robot/s",
+                "log info robot/s",
                 "replay robot/s -o replayed",
                 "export robot/s -o ex --to tum",
                 "sessions list --captures robot",

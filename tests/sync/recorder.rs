@@ -15,7 +15,7 @@ const STREAM: &str = "--rate 60 --frame-kb 40 --set recording.segment_mb=1 --set
                       --set recording.floor_mb=1 --set recording.floor_percent=0";
 
 fn record(site: &Site, seconds: u32, more: &str, code: i32) -> (PathBuf, Value) {
-    let ended = site.run(&format!("soak -o robot --seconds {seconds} --json {STREAM} {more}")).ends(code);
+    let ended = site.run(&format!("measure soak -o robot --seconds {seconds} --json {STREAM} {more}")).ends(code);
     let report = ended.json();
     (site.path(report["session"].as_str().expect("a session")), report)
 }
@@ -34,7 +34,7 @@ fn there(session: &Path) -> Vec<String> {
 fn a_robot_that_records_in_its_own_thread_is_followed() {
     let Some(site) = Site::new() else { return };
     let mut robot = Command::new(env!("CARGO_BIN_EXE_realitysim"))
-        .args(["soak", "-o", "robot", "--seconds", "5", "--json"])
+        .args(["measure", "soak", "-o", "robot", "--seconds", "5", "--json"])
         .args(STREAM.split_whitespace())
         .current_dir(site.path(""))
         .stdout(Stdio::piped())

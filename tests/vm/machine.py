@@ -112,7 +112,7 @@ class Machine:
         return text
 
     def status(self, socket=SOCKET):
-        code, text = self.run(f"realitysim status --json {socket} 2>/dev/null", 60)
+        code, text = self.run(f"realitysim recorder status --json {socket} 2>/dev/null", 60)
         return json.loads(text.splitlines()[-1]) if code == 0 else None
 
     def until(self, what, seconds, holds, socket=SOCKET):

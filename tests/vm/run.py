@@ -21,7 +21,7 @@ BEGAN = time.monotonic()
 def main():
     scene = os.path.join(os.path.dirname(os.path.realpath(__file__)), "scene.toml")
     log = os.path.join(FOLDER, "walk.mcap")
-    subprocess.run([PROGRAM, "sim", scene, "-o", log], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([PROGRAM, "scene", "render", scene, "-o", log], check=True, stdout=subprocess.DEVNULL)
     walk = Walk(log)
     walk.write_disk(os.path.join(FOLDER, "frames.raw"))
     new_data_disk(FOLDER)
@@ -232,7 +232,7 @@ def tags_a_walk(robot):
     machine.ok("systemctl stop realitysim", 30)
     names = machine.ok(f"ls {session}")
     assert "metadata.yaml" in names and ".active" not in names, names
-    code, text = machine.run(f"realitysim info {session}", 120)
+    code, text = machine.run(f"realitysim log info {session}", 120)
     assert code == 0 and "/odom" in text and "/imu/data" in text, text
     print("+ a stopped session is whole", flush=True)
 
@@ -256,7 +256,7 @@ def tags_a_walk(robot):
     machine.ok("compare-frames /dev/video10 200 > /run/compared 2>&1 & touch /run/walk")
     # Half-way the camera stalls while the robot walks on, until that is told.
     drops = "v4l2-ctl -d /dev/robot-camera -c percentage_of_dropped_buffers"
-    told = """realitysim status --json | tee /run/stalled | grep -q '"camera_lost":"stalled"'"""
+    told = """realitysim recorder status --json | tee /run/stalled | grep -q '"camera_lost":"stalled"'"""
     machine.ok(f"(until grep -q 'frame {last // 2}$' /run/steps; do sleep 0.2; done; "
                f"{drops}=100; "
                f"for try in $(seq 40); do sleep 0.5; {told} && break; done; {drops}=0) > /dev/null 2>&1 & echo $!")
@@ -291,7 +291,7 @@ def plays_the_walk_to_itself(robot, session):
     machine.ok("realitysim record --config /run/again.toml -o /run/again --initial=-2.0,0.1,9.5 > /run/record.log 2>&1 & "
                "echo $! > /run/record")
     # Both names of the rules may point to the USB port now.
-    machine.ok(f"realitysim play {CAPTURES}/{session} --video /dev/video10 --serial /dev/ttyS1 > /run/play.log 2>&1 & echo $! > /run/play")
+    machine.ok(f"realitysim log play {CAPTURES}/{session} --video /dev/video10 --serial /dev/ttyS1 > /run/play.log 2>&1 & echo $! > /run/play")
     used = lambda status: status["ports"].get("/dev/ttyUSB0", {}).get("used", {})
     status = machine.until("the walk is played to itself", 120, lambda s: s["counts"]["valid"] >= 10 and used(s).get("ODOMETRY", 0) > 50)
     print(" ", status["camera"]["format"], json.dumps(status["counts"]), json.dumps(used(status)), flush=True)
@@ -324,7 +324,7 @@ def survives_a_full_disk(robot):
     machine.ok(f"rm {folder}/filler")
     status = machine.until("with room again, it records", 60, lambda s: written(s) > written(stopped) + 2)
     assert status["session"] == before and status["recorder"]["conserved"], status
-    code, text = machine.run(f"realitysim info {before}", 120)
+    code, text = machine.run(f"realitysim log info {before}", 120)
     assert code in (0, 3) and "/odom" in text, f"what was recorded before can be read: {code}\n{text}"
 
 
@@ -335,14 +335,14 @@ def answers_while_its_disk_hangs(robot):
     machine.until("recording", 60, is_recording)
     machine.ok(f"fsfreeze -f {folder}")
     try:
-        code, text = machine.run("realitysim stop --json", 40)
+        code, text = machine.run("realitysim recorder stop --json", 40)
         assert code == 3, f"data may be lost: {code}: {text}"
         stopped = next(json.loads(line) for line in text.splitlines() if line.startswith("{"))
         assert stopped["state"] == "stopped" and stopped["unfinished"], stopped
         print("+ a session that cannot end:", stopped["unfinished"], flush=True)
     finally:
         machine.ok(f"fsfreeze -u {folder}")
-    machine.ok("realitysim start", 40)
+    machine.ok("realitysim recorder start", 40)
     status = machine.until("with its disk back, it records", 60, is_recording)
     assert status["earlier"]["sessions"] == 1 and status["earlier"]["unfinished"] == 1, status["earlier"]
 
@@ -364,7 +364,7 @@ def keeps_what_the_disk_confirmed_through_a_power_cut(robot):
     frames = len(kept) - len(counted)
     assert counted, "nothing of the session can be read"
     missing = counted[-1] - counted[0] + 1 - len(counted)
-    code = subprocess.run([PROGRAM, "info", folder], stdout=subprocess.DEVNULL).returncode
+    code = subprocess.run([PROGRAM, "log", "info", folder], stdout=subprocess.DEVNULL).returncode
     print(f"+ power cut: {frames} frames can be read, {recorder['frames_synced']} were confirmed a moment before; the last"
           f" {cut - board.sent[max(counted)]:.2f} s are lost (bound without stalls of the host"
           f" {recorder['loss_bound_ms'] / 1e3:.2f})", flush=True)

@@ -23,7 +23,7 @@ FLU = mavlink.MAV_FRAME_LOCAL_FLU
 
 
 class Walk:
-    """Of a log that `realitysim sim` made without JPEG."""
+    """Of a log that `realitysim scene render` made without JPEG."""
 
     def __init__(self, log):
         self.frames, self.truths, odometry, attitude = [], [], [], []

@@ -52,7 +52,7 @@ pub enum VideoOutError {
     },
     /// The name is that of a device, and there is none.
     #[error(
-        "{}: there is no such device (docs/howto/robot.md: v4l2loopback; `realitysim info DEVICE` shows what one can), and no file is made in its \
+        "{}: there is no such device (docs/howto/robot.md: v4l2loopback; `realitysim log info DEVICE` shows what one can), and no file is made in its \
          place", .0.display()
     )]
     NoDevice(PathBuf),

@@ -1,4 +1,4 @@
-//! State of the recorder, as `realitysim status` shows it.
+//! State of the recorder, as `realitysim recorder status` shows it.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

@@ -16,24 +16,26 @@ export class Refused extends Error {
  * Fetches a path. Throws `Refused` for an answer that is none, and `TypeError` if there is no answer.
  * Who is patient asks again while the service is busy.
  */
-export async function ask(path, { accept = 'application/json', patient = false } = {}) {
+export async function ask(path, { accept = 'application/json', patient = false, order } = {}) {
   const headers = { Accept: accept };
   const token = sessionStorage.getItem(TOKEN);
   if (token) headers.Authorization = `Bearer ${token}`;
   let answer;
   try {
-    answer = await fetch(path, { headers, cache: 'no-store' });
+    const body = order && JSON.stringify({ order });
+    if (order) headers['Content-Type'] = 'application/json';
+    answer = await fetch(path, { method: order ? 'POST' : 'GET', body, headers, cache: 'no-store' });
   } catch (error) {
     say('The service does not answer. Is realitysim serve still running?');
     throw error;
   }
   if (answer.status === 401) {
     await askForToken();
-    return ask(path, { accept, patient });
+    return ask(path, { accept, patient, order });
   }
   if (answer.status === 503 && patient) {
     await pause(500);
-    return ask(path, { accept, patient });
+    return ask(path, { accept, patient, order });
   }
   if (answer.status !== 503) say('');
   if (!answer.ok) throw new Refused(answer.status, await detail(answer));

@@ -335,7 +335,7 @@ function offerDownloads() {
 async function copyCut(event) {
   const time = capture.t_s[shown.index];
   const [from, to] = [Math.max(0, time - 30), time + 30].map((seconds) => seconds.toFixed(1));
-  const command = `realitysim cut CAPTURES/${capture.name} --from ${from} --to ${to} -o piece.mcap`;
+  const command = `realitysim log cut CAPTURES/${capture.name} --from ${from} --to ${to} -o piece.mcap`;
   try {
     await navigator.clipboard.writeText(command);
     event.target.textContent = 'copied';
@@ -369,7 +369,7 @@ function stop() {
 export function start(info, keep) {
   remember = keep;
   map = new FieldMap(at('capture-map'), drawRoute);
-  map.setField(info.field);
+  if (info.field) map.setField(info.field);
   at('scrub').addEventListener('input', (event) => showFrame(Number(event.target.value)));
   at('play').addEventListener('click', play);
   at('explain').addEventListener('click', explain);

@@ -2,15 +2,18 @@
 
 import * as walk from './walk.js';
 import * as captures from './captures.js';
+import * as live from './live.js';
 import { askJson, pause, say } from './api.js';
 
-const TABS = { walk, captures };
+const TABS = { walk, captures, live };
 let shown = null;
+/** The tab of an address that names none: a service without a database watches a robot. */
+let first = 'walk';
 
 /** The tab and the parameters that the address line names. */
 function address() {
   const [name, query = ''] = location.hash.replace(/^#/, '').split('?');
-  return { name: name in TABS ? name : 'walk', parameters: new URLSearchParams(query) };
+  return { name: name in TABS ? name : first, parameters: new URLSearchParams(query) };
 }
 
 /** Puts the state of a tab into the address line. */
@@ -45,12 +48,14 @@ async function start() {
       if (event.key !== 'ArrowLeft' && event.key !== 'ArrowRight') return;
       event.preventDefault();
       event.stopPropagation();
-      const other = Object.keys(TABS).find((tab) => tab !== name);
+      const names = Object.keys(TABS);
+      const other = names[(names.indexOf(name) + (event.key === 'ArrowLeft' ? -1 : 1) + names.length) % names.length];
       openTab(other);
       document.getElementById(`tab-${other}`).focus();
     });
   }
   const info = await service();
+  if (!info.field) first = 'live';
   for (const [name, tab] of Object.entries(TABS)) tab.start(info, (parameters) => remember(name, parameters));
   const open = () => {
     const { name, parameters } = address();

@@ -150,7 +150,7 @@ async function masked(answer) {
 
 function sayOfView(words) {
   const said = at('view-said');
-  const text = images ? (words ?? '') : 'The database has no image yet: add some with `realitysim db add CAPTURE --db DIR`. The page notices.';
+  const text = images || !map.field ? (words ?? '') : 'The database has no image yet: add some with `realitysim db add CAPTURE --db DIR`. The page notices.';
   if (said.textContent !== text) said.textContent = text;
   said.classList.toggle('warn', Boolean(text));
 }
@@ -393,6 +393,7 @@ export function start(info, keep) {
   remember = keep;
   images = info.images;
   map = new FieldMap(at('walk-map'), drawMap);
+  if (!info.field) return;
   map.setField(info.field);
   for (const name of Object.keys(info.lenses)) at('lens').append(new Option(name, name));
   for (const method of ['exact', 'paper', 'nearest']) loops[method] = new Loop(method, at(`figure-${method}`));
@@ -403,6 +404,10 @@ export function start(info, keep) {
 }
 
 export function show(parameters) {
+  if (!map.field) {
+    sayOfView('No database is served: start with `--db DIR`.');
+    return;
+  }
   active = true;
   // A small screen over a thin link is served with less.
   const small = matchMedia('(max-width: 800px)').matches;

@@ -14,8 +14,9 @@
 //! use realitysim_service::{ServeError, ServeOptions, serve};
 //!
 //! let options = ServeOptions {
-//!     database: "images".into(),
+//!     database: Some("images".into()),
 //!     captures: None,
+//!     live: None,
 //!     listen: ([127, 0, 0, 1], 8765).into(),
 //!     token: None,
 //!     threads: 2,
@@ -35,6 +36,7 @@ mod captures;
 mod connections;
 mod encode;
 mod guard;
+mod live;
 mod metrics;
 mod page;
 mod parameters;
@@ -44,6 +46,7 @@ mod server;
 mod view_service;
 mod write_timeout;
 
+pub use live::LiveRobot;
 pub use parameters::PARAMETERS;
 pub use server::{ServeError, ServeOptions, serve};
 
@@ -59,8 +62,10 @@ use view_service::ViewService;
 
 /// State that all connections share.
 struct Service {
-    views: ViewService,
+    /// `None` if no database is served.
+    views: Option<ViewService>,
     captures: Captures,
+    live: Option<Arc<dyn LiveRobot>>,
     metrics: Metrics,
     admission: admission::AdmissionControl,
     connections: Arc<connections::Connections>,

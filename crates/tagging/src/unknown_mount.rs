@@ -161,7 +161,7 @@ impl UnknownMount {
         for start in located.found {
             let mut best = start;
             for _ in 1..FITS {
-                let mount = mount_of(&best.map_from_link);
+                let mount = self.known_or(mount_of(&best.map_from_link));
                 let prior = self.prior(mount, tilt_sigma_rad, height_sigma(mount.height_m), self.initial);
                 match prior.refit(picture, field, &best) {
                     Some(better) => best = better,
@@ -171,6 +171,13 @@ impl UnknownMount {
             found.push(best);
         }
         found
+    }
+
+    /// The mount with what is known in place of what was fitted, so that no fit moves the centre of a prior.
+    fn known_or(&self, fitted: Mount) -> Mount {
+        let [roll, pitch] =
+            self.attitude.map_or([fitted.roll, fitted.pitch], |(attitude, _)| [attitude.roll, attitude.pitch]);
+        Mount { roll, pitch, height_m: self.height_m.unwrap_or(fitted.height_m) }
     }
 
     fn prior(&self, mount: Mount, tilt_sigma_rad: f64, height_sigma_m: f64, initial: Option<Pose2>) -> ImagePrior {

@@ -381,7 +381,8 @@ impl Nearness {
         let place = map_from_optical.translation;
         let turn = glam::DMat3::from_quat(map_from_optical.rotation);
         let rays = request.camera.node_rays().iter().filter(|ray| !ray.x.is_nan());
-        let hits = rays.map(|ray| request.world.behind_goals(place, turn * *ray));
+        let background = request.world.background_from(place);
+        let hits = rays.map(|ray| background.hit(turn * *ray));
         Self::new(request.camera, hits.filter_map(|hit| hit.on_ground()))
     }
 

@@ -129,7 +129,7 @@ pub fn capture(case: &mut Case) -> Outcome {
     fs::write(&path, &changed).expect("written");
     case.tell(format!("{damaged} is damaged"));
     match case.draw.below(13) {
-        0 => run(case, &format!("info {session}")).map(|ran| taken(&ran)),
+        0 => run(case, &format!("log info {session}")).map(|ran| taken(&ran)),
         1 => run(case, &format!("sessions list --captures {CAPTURES}")).map(|ran| taken(&ran)),
         2 => run(case, &format!("sessions show {name} --captures {CAPTURES}")).map(|ran| taken(&ran)),
         3 => {
@@ -173,9 +173,9 @@ pub fn capture(case: &mut Case) -> Outcome {
             Ok(taken(&ran))
         }
         11 => {
-            let ran = run(case, &format!("cut {session} --from 0.2 --to 0.6 -o piece.mcap"))?;
+            let ran = run(case, &format!("log cut {session} --from 0.2 --to 0.6 -o piece.mcap"))?;
             if ran.code == 0 {
-                run(case, "info piece.mcap")?;
+                run(case, "log info piece.mcap")?;
             }
             Ok(taken(&ran))
         }

@@ -1,7 +1,7 @@
 //! Limits of the decision whether a pose is believed.
 //!
 //! They were set by what right and wrong poses show on the walks and path-traced halls of docs/explanation/lines.md, which also says how often
-//! each kind of false pose passes them (`realitysim falsify`).
+//! each kind of false pose passes them (`realitysim measure falsify`).
 
 /// Limits of the decision whether a pose is believed. Shares are of 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,12 +1,12 @@
-//! Command `realitysim cut`: cuts a piece out of a log so that it replays to the same tags.
+//! Command `realitysim log cut`: cuts a piece out of a log so that it replays to the same tags.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::settings::{SettingsArguments, UsageError};
-use super::values::{any_number, whole};
-use super::{Outcome, output, paths};
+use crate::cli::settings::{SettingsArguments, UsageError};
+use crate::cli::values::{any_number, whole};
+use crate::cli::{Outcome, output, paths};
 use crate::recording::{read_info, session_holding};
 use crate::tagging::cut::{self, CutOptions};
 
@@ -18,7 +18,7 @@ use crate::tagging::cut::{self, CutOptions};
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Example:",
-    "\n  realitysim cut captures/2026-11-21T10-00-00Z-robot --from 12 --to 20 -o fall.mcap",
+    "\n  realitysim log cut captures/2026-11-21T10-00-00Z-robot --from 12 --to 20 -o fall.mcap",
 ))]
 pub struct CutArguments {
     /// A capture, a log or a folder of logs

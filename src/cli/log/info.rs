@@ -1,11 +1,11 @@
-//! Command `realitysim info`: lists the contents of a log, or the formats of a camera.
+//! Command `realitysim log info`: lists the contents of a log, or the formats of a camera.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
 
-use super::{Outcome, output};
+use crate::cli::{Outcome, output};
 use crate::config::Settings;
 use crate::log_input::log;
 use crate::log_input::topic_resolution::{ResolvedTopics, TopicChoice, TopicTypes};
@@ -19,7 +19,7 @@ use crate::tagging::setup::SetupError;
 /// Of a log: topics, types, rates and damage (exit code 3 if there is any); every byte is read and checked. Of a
 /// capture also whether all segments of its manifest are there. Of a camera (/dev/video0): formats, sizes and rates.
 #[derive(Args)]
-#[command(after_long_help = "Example:\n  realitysim info my_bag/")]
+#[command(after_long_help = "Example:\n  realitysim log info my_bag/")]
 pub struct InfoArguments {
     /// An MCAP file, a folder of them, or a camera's device
     file: PathBuf,

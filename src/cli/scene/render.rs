@@ -1,4 +1,4 @@
-//! Command `realitysim sim`: renders a scene into a log with ground truth.
+//! Command `realitysim scene render`: renders a scene into a log with ground truth.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use super::paths::{cannot_write, check_output, check_replaceable};
-use super::{Outcome, output};
+use crate::cli::paths::{cannot_write, check_output, check_replaceable};
+use crate::cli::{Outcome, output};
 use crate::log_input::scene_source::{self, SceneSource};
 use crate::ros2::mcap_write::{LogWriter, RawChannel, WriteError};
 use crate::scene::Scene;
@@ -19,8 +19,8 @@ use crate::scene::Scene;
 /// A scene file names field, lens, camera mount, route and effects (replay/scenes/*.toml are examples). The log is
 /// what a robot would have recorded, as ROS 2 MCAP, with the true poses on /ground_truth/camera_pose.
 #[derive(Args)]
-#[command(after_long_help = "Example:\n  realitysim sim replay/scenes/straight.toml -o straight.mcap")]
-pub struct SimArguments {
+#[command(after_long_help = "Example:\n  realitysim scene render replay/scenes/straight.toml -o straight.mcap")]
+pub struct RenderArguments {
     /// A scene file
     #[arg(value_name = "SCENE")]
     scene: String,
@@ -37,7 +37,7 @@ pub struct Report {
     wall_s: f64,
 }
 
-pub fn run(arguments: &SimArguments, json: bool) -> anyhow::Result<Outcome> {
+pub fn run(arguments: &RenderArguments, json: bool) -> anyhow::Result<Outcome> {
     check_output(&arguments.output, &[Path::new(&arguments.scene)])?;
     let report = render(&scene_source::load(&arguments.scene)?, &arguments.output)?;
     if json {

@@ -1,14 +1,14 @@
-//! Command `realitysim play`: plays a capture or trajectory to a robot's devices.
+//! Command `realitysim log play`: plays a capture or trajectory to a robot's devices.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use glam::DVec3;
 
-use super::paths::{cannot_read, check_output};
-use super::settings::UsageError;
-use super::values::{any_whole, whole};
-use super::{Outcome, output};
+use crate::cli::paths::{cannot_read, check_output};
+use crate::cli::settings::UsageError;
+use crate::cli::values::{any_whole, whole};
+use crate::cli::{Outcome, output};
 use crate::config::{Settings, plain_file};
 use crate::geometry::{Euler, Isometry};
 use crate::live::stop_flag;
@@ -21,8 +21,8 @@ use crate::playback::{PlayOptions, PlaySource, Played, play};
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Examples:",
-    "\n  realitysim play captures/2026-11-21T10-00-00Z-robot --video /dev/video10",
-    "\n  realitysim play way.csv --db images/ --video frames.mjpeg",
+    "\n  realitysim log play captures/2026-11-21T10-00-00Z-robot --video /dev/video10",
+    "\n  realitysim log play way.csv --db images/ --video frames.mjpeg",
 ))]
 pub struct PlayArguments {
     /// A capture, or a .csv with the head t,x,y,z,yaw_deg,pitch_deg,roll_deg: seconds and poses of camera_link in map

@@ -1,4 +1,4 @@
-//! Command `realitysim falsify`: counts valid tags under false assumptions.
+//! Command `realitysim measure falsify`: counts valid tags under false assumptions.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -8,10 +8,10 @@ use std::thread;
 use clap::Args;
 use serde::Serialize;
 
-use super::doc_section::Section;
-use super::settings::{SettingsArguments, UsageError};
-use super::values::{above_zero, whole};
-use super::{Outcome, output};
+use crate::cli::doc_section::Section;
+use crate::cli::settings::{SettingsArguments, UsageError};
+use crate::cli::values::{above_zero, whole};
+use crate::cli::{Outcome, output};
 use crate::config::Settings;
 use crate::evaluation::capture::{EvaluationError, read_truth};
 use crate::evaluation::contrast::WRONG_CM;
@@ -30,7 +30,7 @@ use crate::tagging::{FrameCache, FrameCacheOptions};
 /// and more than 12 cm off the log's ground truth: there should be none, and exit code 1 says that there are. The first line
 /// says what the truth gives.
 #[derive(Args)]
-#[command(after_long_help = "Example:\n  realitysim falsify my_bag/ replay/scenes/loop.toml --field kid-2020")]
+#[command(after_long_help = "Example:\n  realitysim measure falsify my_bag/ replay/scenes/loop.toml --field kid-2020")]
 pub struct FalsifyArguments {
     /// Logs or scenes, as for replay; a log needs ground truth
     #[arg(value_name = "LOG|SCENE", required = true)]
@@ -41,7 +41,7 @@ pub struct FalsifyArguments {
     /// How many falsehoods are tried at once; as many as the machine has processors if nothing is said
     #[arg(long, value_name = "N", value_parser = whole(1..=64u64))]
     threads: Option<u64>,
-    /// Put the table into a document, between its marks <!-- begin: realitysim falsify --> and <!-- end: realitysim falsify -->
+    /// Put the table into a document, between its marks <!-- begin: realitysim measure falsify --> and <!-- end: realitysim measure falsify -->
     #[arg(long, value_name = "FILE")]
     write_docs: Option<PathBuf>,
     #[command(flatten)]
@@ -68,7 +68,7 @@ struct Source {
 
 pub fn run(arguments: &FalsifyArguments, json: bool) -> anyhow::Result<Outcome> {
     let settings = arguments.settings.resolve()?;
-    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "falsify")).transpose()?;
+    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "measure falsify")).transpose()?;
     let threads = match arguments.threads {
         Some(threads) => threads as usize,
         None => thread::available_parallelism().map_or(1, |count| count.get()),
@@ -185,7 +185,7 @@ impl Report {
         let mut words: Vec<String> = arguments.sources.iter().map(|source| source.display().to_string()).collect();
         words.extend(arguments.for_s.map(|seconds| format!("--for {seconds}")));
         let mut text = format!(
-            "    realitysim falsify {} --write-docs docs/explanation/lines.md\n\n| walk | frames | falsehoods | frames in all | valid | wrong |\n\
+            "    realitysim measure falsify {} --write-docs docs/explanation/lines.md\n\n| walk | frames | falsehoods | frames in all | valid | wrong |\n\
              | --- | --- | --- | --- | --- | --- |\n",
             words.join(" ")
         );

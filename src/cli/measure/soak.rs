@@ -1,4 +1,4 @@
-//! Command `realitysim soak`: load test of the recorder on this disk.
+//! Command `realitysim measure soak`: load test of the recorder on this disk.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -7,9 +7,9 @@ use std::time::Duration;
 use clap::Args;
 use serde_json::json;
 
-use super::settings::SettingsArguments;
-use super::values::{any_number, whole};
-use super::{Outcome, output};
+use crate::cli::settings::SettingsArguments;
+use crate::cli::values::{any_number, whole};
+use crate::cli::{Outcome, output};
 use crate::soak::{SoakOptions, soak};
 
 /// Record a made-up stream in real time: does this disk keep up, and what does recording cost?
@@ -17,7 +17,7 @@ use crate::soak::{SoakOptions, soak};
 /// Frames of the size of JPEGs (or raw ones), measurements and tags go through the recorder as on the robot; the session
 /// stays in DIR. Ends with 3 if a frame was dropped, with 1 if it cost more than it may.
 #[derive(Args)]
-#[command(after_long_help = "Example:\n  realitysim soak -o captures/ --seconds 60")]
+#[command(after_long_help = "Example:\n  realitysim measure soak -o captures/ --seconds 60")]
 pub struct SoakArguments {
     /// Where the session is made
     #[arg(short, long, value_name = "DIR")]

@@ -1,4 +1,4 @@
-//! Command `realitysim gap`: compares recorded images with views and renderings.
+//! Command `realitysim measure gap`: compares recorded images with views and renderings.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -8,9 +8,10 @@ use clap::Args;
 use image::RgbImage;
 use serde::Serialize;
 
-use super::paths::{check_output, save};
-use super::values::{number, whole};
-use super::{Outcome, detector, output};
+use super::detector;
+use crate::cli::paths::{check_output, save};
+use crate::cli::values::{number, whole};
+use crate::cli::{Outcome, output};
 use crate::config::Settings;
 use crate::database::{ImageDatabase, ViewQuery};
 use crate::evaluation::drawing;
@@ -26,7 +27,7 @@ use crate::vision::Picture;
 /// paper's view, as the nearest image, and rendered. What the project's line detector finds in each is compared, and their
 /// brightness. A detector of your own: --detector COMMAND is run with the name of a PNG and prints a number.
 #[derive(Args)]
-#[command(after_long_help = "Example:\n  realitysim gap --db images/ --frames 40 -o gap.png")]
+#[command(after_long_help = "Example:\n  realitysim measure gap --db images/ --frames 40 -o gap.png")]
 pub struct GapArguments {
     /// The database's folder
     #[arg(long, value_name = "DIR")]

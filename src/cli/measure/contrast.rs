@@ -1,4 +1,4 @@
-//! Command `realitysim contrast`: measures how faint lines may be until tags fail.
+//! Command `realitysim measure contrast`: measures how faint lines may be until tags fail.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::doc_section::Section;
-use super::settings::{SettingsArguments, UsageError};
-use super::{Outcome, output, paths};
+use crate::cli::doc_section::Section;
+use crate::cli::settings::{SettingsArguments, UsageError};
+use crate::cli::{Outcome, output, paths};
 use crate::evaluation::contrast::{self, Detection, PAINT, Quality, Step, Variant, WIDTHS_PX, WRONG_CM};
 use crate::evaluation::cost::SweepPoint;
 use crate::evaluation::{Summary, truth};
@@ -23,7 +23,7 @@ use crate::tagging::{FrameCache, FrameCacheOptions};
 /// poses, how many places of lines stand out more than 99 and 90 % of the carpet beside them. The scene has an effect of the kind
 /// worn_lines, whose share is varied.
 #[derive(Args)]
-#[command(after_long_help = "Example:\n  realitysim contrast replay/scenes/worn-lines.toml -o contrast/")]
+#[command(after_long_help = "Example:\n  realitysim measure contrast replay/scenes/worn-lines.toml -o contrast/")]
 pub struct ContrastArguments {
     /// A scene with worn lines
     #[arg(value_name = "SCENE")]
@@ -31,7 +31,7 @@ pub struct ContrastArguments {
     /// Where contrast.csv and contrast.svg go
     #[arg(short, long, value_name = "DIR", default_value = "contrast")]
     output: PathBuf,
-    /// Put picture and table into a document, between its marks <!-- begin: realitysim contrast --> and <!-- end: realitysim contrast -->
+    /// Put picture and table into a document, between its marks <!-- begin: realitysim measure contrast --> and <!-- end: realitysim measure contrast -->
     #[arg(long, value_name = "FILE")]
     write_docs: Option<PathBuf>,
     #[command(flatten)]
@@ -52,7 +52,7 @@ struct Report<'a> {
 
 pub fn run(arguments: &ContrastArguments, json: bool) -> anyhow::Result<Outcome> {
     let settings = arguments.settings.resolve()?;
-    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "contrast")).transpose()?;
+    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "measure contrast")).transpose()?;
     let named = arguments.settings.files();
     let inputs = named.iter().chain([&arguments.scene]).map(PathBuf::as_path);
     paths::check_output(&arguments.output, &inputs.collect::<Vec<_>>())?;
@@ -183,7 +183,7 @@ fn found(detection: &Detection) -> String {
 
 fn markdown(scene: &str, frames: usize, variants: &[Variant], steps: &[Step]) -> String {
     let mut text = format!(
-        "    realitysim contrast {scene} --write-docs docs/explanation/lines.md\n\n{frames} frames in each step. Valid tags, their mean error, and how many \
+        "    realitysim measure contrast {scene} --write-docs docs/explanation/lines.md\n\n{frames} frames in each step. Valid tags, their mean error, and how many \
          of them are more than 12 cm off.\n\n![Share of valid tags and their error against line contrast to noise](contrast.svg)\n\n\
          | paint left | contrast to noise |"
     );

@@ -1,13 +1,13 @@
-//! Command `realitysim view-quality`: measures the quality of views.
+//! Command `realitysim measure views`: measures the quality of views.
 
 use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
 
-use super::doc_section::Section;
-use super::settings::field_size;
-use super::{Outcome, output};
+use crate::cli::doc_section::Section;
+use crate::cli::settings::field_size;
+use crate::cli::{Outcome, output};
 use crate::config::load_field_of_size;
 use crate::evaluation::views::{Pair, Plan, Row, Scores, displacements, pairs};
 use crate::geometry::Field;
@@ -18,8 +18,8 @@ use crate::geometry::Field;
 /// paper's quadratic map, and the exact map from one and from four images. With --pairs also real images that were taken
 /// from one place. docs/explanation/views.md says what comes out.
 #[derive(Args)]
-#[command(after_long_help = "Example:\n  realitysim view-quality --quick")]
-pub struct ViewQualityArguments {
+#[command(after_long_help = "Example:\n  realitysim measure views --quick")]
+pub struct ViewsArguments {
     /// Two poses a row instead of eight
     #[arg(long)]
     quick: bool,
@@ -32,8 +32,8 @@ pub struct ViewQualityArguments {
     /// Length and width of the field between the centres of its lines, metres: see `replay`
     #[arg(long, value_name = "LxW", value_parser = field_size)]
     field_size: Option<[f64; 2]>,
-    /// Put the results into a document, between its marks <!-- begin: realitysim view-quality --> and
-    /// <!-- end: realitysim view-quality -->
+    /// Put the results into a document, between its marks <!-- begin: realitysim measure views --> and
+    /// <!-- end: realitysim measure views -->
     #[arg(long, value_name = "FILE")]
     write_docs: Option<PathBuf>,
 }
@@ -44,8 +44,8 @@ struct Report {
     pairs: Vec<Pair>,
 }
 
-pub fn run(arguments: &ViewQualityArguments, json: bool) -> anyhow::Result<Outcome> {
-    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "view-quality")).transpose()?;
+pub fn run(arguments: &ViewsArguments, json: bool) -> anyhow::Result<Outcome> {
+    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "measure views")).transpose()?;
     let field = Field::new(load_field_of_size(&arguments.field, arguments.field_size)?)?;
     let plan = if arguments.quick { Plan::quick() } else { Plan::full() };
     let mut progress = output::Progress::new("rendering");

@@ -1,4 +1,4 @@
-//! Command `realitysim paper`: repeats the paper's experiments on rendered scenes.
+//! Command `realitysim measure paper`: repeats the paper's experiments on rendered scenes.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -6,9 +6,9 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::doc_section::Section;
-use super::values::any_whole;
-use super::{Outcome, host_info, output, paths};
+use crate::cli::doc_section::Section;
+use crate::cli::values::any_whole;
+use crate::cli::{Outcome, host_info, output, paths};
 use crate::config::Settings;
 use crate::evaluation::Summary;
 use crate::evaluation::paper::{METHODS, PAPER_PARTICLES, PAPER_WALK_CM, Paper, Plan, Run, charts, reproduce};
@@ -22,7 +22,7 @@ use crate::localization::SimdPath;
 ///
 /// Writes paper.md (the results as Markdown), paper.csv and three pictures. Takes some minutes; --quick takes seconds.
 #[derive(Args)]
-#[command(after_long_help = "Example:\n  realitysim paper --quick")]
+#[command(after_long_help = "Example:\n  realitysim measure paper --quick")]
 pub struct PaperArguments {
     /// Where the results go
     #[arg(short, long, value_name = "DIR", default_value = "paper")]
@@ -33,8 +33,8 @@ pub struct PaperArguments {
     /// Seed of all random numbers of the filter
     #[arg(long, value_name = "S", default_value_t = 1, value_parser = any_whole::<u64>)]
     seed: u64,
-    /// Put the results into a document, between its marks <!-- begin: realitysim paper --> and
-    /// <!-- end: realitysim paper -->, and the pictures beside it
+    /// Put the results into a document, between its marks <!-- begin: realitysim measure paper --> and
+    /// <!-- end: realitysim measure paper -->, and the pictures beside it
     #[arg(long, value_name = "FILE")]
     write_docs: Option<PathBuf>,
 }
@@ -52,7 +52,7 @@ struct Report<'a> {
 
 pub fn run(arguments: &PaperArguments, json: bool) -> anyhow::Result<Outcome> {
     let (started, waited_s) = (Instant::now(), host_info::waited_s());
-    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "paper")).transpose()?;
+    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "measure paper")).transpose()?;
     let folder = &arguments.output;
     paths::check_output(folder, &[])?;
     paths::make_folder(folder)?;

@@ -1,4 +1,4 @@
-//! Command `realitysim cost`: measures what accuracy costs in time, and recommends settings.
+//! Command `realitysim measure cost`: measures what accuracy costs in time, and recommends settings.
 
 mod files;
 mod report;
@@ -9,10 +9,10 @@ use std::time::Instant;
 
 use clap::Args;
 
-use super::doc_section::Section;
-use super::settings::{SettingsArguments, check_initial, planar_pose};
-use super::{Outcome, host_info, output, paths};
+use crate::cli::doc_section::Section;
+use crate::cli::settings::{SettingsArguments, check_initial, planar_pose};
 use crate::cli::values::{above_zero, whole};
+use crate::cli::{Outcome, host_info, output, paths};
 use crate::config::{MIN_BUDGET_MS, Settings};
 use crate::evaluation::capture::{EvaluationError, read_truth};
 use crate::evaluation::compare::truth_at;
@@ -35,7 +35,7 @@ use report::{Report, TruthSource};
 /// and writes cost.csv, cost.svg and cost.toml, which --config of other commands takes. Exit code 1 when nothing that was
 /// asked for can be had. Measure on a machine that does nothing else.
 #[derive(Args)]
-#[command(after_long_help = "Example:\n  realitysim cost my_bag/ --budget-ms 8 --field kid-2020")]
+#[command(after_long_help = "Example:\n  realitysim measure cost my_bag/ --budget-ms 8 --field kid-2020")]
 pub struct CostArguments {
     /// A log or a scene, as for replay
     #[arg(value_name = "LOG|SCENE")]
@@ -64,7 +64,7 @@ pub struct CostArguments {
     /// Pose of base_footprint at the first frame, in place of what the log announces
     #[arg(long, value_name = "x,y,yaw_deg", value_parser = planar_pose, allow_hyphen_values = true)]
     initial: Option<Pose2>,
-    /// Put the front into a document, between its marks <!-- begin: realitysim cost --> and <!-- end: realitysim cost -->
+    /// Put the front into a document, between its marks <!-- begin: realitysim measure cost --> and <!-- end: realitysim measure cost -->
     #[arg(long, value_name = "FILE")]
     write_docs: Option<PathBuf>,
     #[command(flatten)]
@@ -76,7 +76,7 @@ const DEFAULT_BUDGET_MS: f64 = 8.0;
 pub fn run(arguments: &CostArguments, json: bool) -> anyhow::Result<Outcome> {
     let started = Instant::now();
     let configured = arguments.settings.resolve()?;
-    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "cost")).transpose()?;
+    let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "measure cost")).transpose()?;
     let named = arguments.settings.files();
     let inputs = named.iter().chain([&arguments.source]).chain(&arguments.truth).map(PathBuf::as_path);
     paths::check_output(&arguments.output, &inputs.collect::<Vec<_>>())?;

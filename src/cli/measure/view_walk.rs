@@ -1,4 +1,4 @@
-//! Command `realitysim view-walk`: makes views along a straight path.
+//! Command `realitysim measure view-walk`: makes views along a straight path.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,10 +11,10 @@ use image::imageops::{self, FilterType};
 use jpeg_encoder::ColorType;
 use serde::Serialize;
 
-use super::paths::{check_output, make_folder, save, write, write_bytes};
-use super::settings::planar_pose;
-use super::values::{number, whole};
-use super::{Outcome, output};
+use crate::cli::paths::{check_output, make_folder, save, write, write_bytes};
+use crate::cli::settings::planar_pose;
+use crate::cli::values::{number, whole};
+use crate::cli::{Outcome, output};
 use crate::config::Settings;
 use crate::database::{ImageDatabase, ViewQuery};
 use crate::evaluation::video::avi;
@@ -31,7 +31,7 @@ use crate::vision::Picture;
 /// reading, the paper does not say. Writes sheet.png, walk.avi and walk.csv. How evenly the lines move is measured by finding the
 /// pose of every view from its lines and comparing it with the one asked for.
 #[derive(Args)]
-#[command(after_long_help = "Example:\n  realitysim view-walk --db images/ --from -2,0,0 --to 2,0.5,90")]
+#[command(after_long_help = "Example:\n  realitysim measure view-walk --db images/ --from -2,0,0 --to 2,0.5,90")]
 pub struct ViewWalkArguments {
     /// The database's folder
     #[arg(long, value_name = "DIR")]
