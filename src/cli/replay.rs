@@ -21,7 +21,7 @@ pub(super) const MAX_THREADS: usize = 64;
 ///
 /// LOG is a ROS 2 MCAP file, a folder of them (a bag or a capture) or one segment of a capture; SCENE is a scene file
 /// (replay/scenes/*.toml). Makes CAPTURES_DIR/<session>/ and prints its path. Camera bytes are passed through
-/// untouched; /camera/pose, /frame_tag and /diagnostics are added. Ground truth in the log is never read.
+/// untouched; /camera/pose, /camera/tf, /frame_tag and /diagnostics are added. Ground truth in the log is never read.
 ///
 /// With --check REFERENCE the tags are held to those of an earlier replay of the same log, which --bless wrote: a gate for
 /// continuous integration.

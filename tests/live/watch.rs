@@ -15,13 +15,13 @@ use crate::service::client::{get, post};
 use crate::sync::site::Site;
 
 /// The program as a watcher; ends with the test.
-struct Watch {
+pub struct Watch {
     address: SocketAddr,
     process: Child,
 }
 
 impl Watch {
-    fn of(folder: &Path, arguments: &[&str]) -> Self {
+    pub fn of(folder: &Path, arguments: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_realitysim"));
         command.arg("live").args(arguments).args(["--listen", "127.0.0.1:0", "--json"]).current_dir(folder);
         let mut process = command.stdout(Stdio::piped()).spawn().expect("started");
@@ -31,7 +31,7 @@ impl Watch {
         Self { address: ready["listening"].as_str().and_then(|text| text.parse().ok()).expect("an address"), process }
     }
 
-    fn waits_for(&self, what: &str, is: impl Fn(&Value) -> bool) -> Value {
+    pub fn waits_for(&self, what: &str, is: impl Fn(&Value) -> bool) -> Value {
         let began = Instant::now();
         loop {
             let state = get(self.address, "/v1/live").json();

@@ -10,6 +10,8 @@ const MIRROR = '#707070';
 const EVERY_MS = 200;
 /** Places of the route that are kept. */
 const MAX_ROUTE = 5000;
+/** Distance between two places from which no line joins them, metres: the pose was found anew. */
+const GAP_M = 0.5;
 /** From standard deviations to the ellipse of 95 %. */
 const SIGMAS = 2.4477;
 
@@ -70,6 +72,8 @@ async function take() {
 function item(words) {
   const element = document.createElement('li');
   element.textContent = words;
+  // Rows of a map of text stand below each other.
+  element.classList.toggle('letters', words.startsWith('  '));
   return element;
 }
 
@@ -117,7 +121,12 @@ function drawMap(field) {
   c.strokeStyle = POSE;
   c.lineWidth = 1.5;
   c.beginPath();
-  route.forEach(([x, y], i) => (i ? c.lineTo(...field.toPixel(x, y)) : c.moveTo(...field.toPixel(x, y))));
+  route.forEach(([x, y], i) => {
+    const [px, py] = route[i - 1] ?? [Infinity, Infinity];
+    const joins = Math.hypot(x - px, y - py) < GAP_M;
+    if (joins) c.lineTo(...field.toPixel(x, y));
+    else c.moveTo(...field.toPixel(x, y));
+  });
   c.stroke();
   if (!tag) return;
   const { x, y } = tag.pose.pose.position;
