@@ -97,7 +97,8 @@ mod tests {
             let inverse_distance = seen.inverse_distance(ray);
             let at = camera + ray / inverse_distance.max(1e-9);
             let on_wall = |wall: usize| {
-                hall.walls_m[wall].is_some_and(|distance| (hall.normal(wall).dot(at.truncate()) - distance).abs() < 1e-9)
+                hall.walls_m[wall]
+                    .is_some_and(|distance| (hall.normal(wall).dot(at.truncate()) - distance).abs() < 1e-9)
             };
             let is_on_plane = at.z.abs() < 1e-9 || (at.z - 4.0).abs() < 1e-9 || (0..4).any(on_wall);
             assert!(is_on_plane || inverse_distance == 0.0, "{azimuth} {elevation}: {at}");

@@ -82,7 +82,8 @@ impl<'a> Target<'a> {
         let seen_goals = world.goals_from(place, SOFT_EDGE_PX / camera.lens().focal());
         let node_hits = nodes.chunks(AREA).map(RayHits::of_nodes).collect();
         let (map_from_optical, goals_seen, mixed) = (rotation, seen_goals, Vec::new());
-        let mut target = Self { camera, world, goals: goals_seen, background, place, map_from_optical, nodes, node_hits, mixed };
+        let mut target =
+            Self { camera, world, goals: goals_seen, background, place, map_from_optical, nodes, node_hits, mixed };
         let hits = |(index, cell): (usize, (usize, usize))| {
             let surfaces = corners(columns, cell).map(|corner| target.surface_at(corner));
             let goal = goals.get(index).is_some_and(|goal| *goal);
