@@ -70,7 +70,8 @@ impl World {
         Self { bars: Vec::new(), ..Self::new(field) }
     }
 
-    pub(super) fn ground_half(&self) -> DVec2 {
+    /// Half extents of the area that counts as ground, metres.
+    pub fn ground_half(&self) -> DVec2 {
         self.ground_half
     }
 
