@@ -1,7 +1,7 @@
 //! Control socket of a running recorder: a Unix socket that takes one command a line and answers with one line of JSON.
 //!
 //! Commands are `status`, `mark TEXT`, `place X,Y,YAW_DEG`, `start` and `stop`. `frame` is answered with a line that states the number
-//! of bytes of the latest frame's image, and then these. `poses` is answered with a line for each tag until the client hangs up.
+//! of bytes of the latest frame's image, and then these; `frame N` without them if the latest is still frame N. `poses` is answered with a line for each tag until the client hangs up.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -49,8 +49,8 @@ pub enum ControlCommand {
     Place(Pose2),
     Start,
     Stop,
-    /// The latest frame with its tag.
-    Frame,
+    /// The latest frame with its tag, unless it is the one of this number.
+    Frame(Option<u64>),
 }
 
 /// Commands that can wait for the event loop.
@@ -176,7 +176,7 @@ fn converse(slot: &ClientSlot, orders: &Sender<Order>, listeners: &Listeners) ->
             "place" if let Some(place) = parse_place(text) => ControlCommand::Place(place),
             "start" => ControlCommand::Start,
             "stop" => ControlCommand::Stop,
-            "frame" => ControlCommand::Frame,
+            "frame" => ControlCommand::Frame(text.trim().parse().ok()),
             "poses" => match slot.start_listening() {
                 Ok(()) => return stream_tags(client, listeners),
                 Err(what) => return writeln!(client, "{}", json!({ "error": what })),
@@ -252,29 +252,40 @@ fn has_hung_up(client: &UnixStream) -> io::Result<bool> {
 
 /// Sends one command to the recorder behind the socket and returns its answer's line.
 pub fn ask(path: &Path, line: &str) -> io::Result<Value> {
-    ask_for_bytes(path, line).map(|answer| answer.line)
+    ControlClient::connect(path)?.ask(line).map(|answer| answer.line)
 }
 
-/// Sends one command to the recorder behind the socket and returns its whole answer.
-pub fn ask_for_bytes(path: &Path, line: &str) -> io::Result<Answer> {
-    let mut stream = UnixStream::connect(path)?;
-    stream.set_read_timeout(Some(2 * ANSWER_TIMEOUT))?;
-    // A recorder that refuses another client, or an overlong line, answers before it has read everything.
-    let sent = writeln!(stream, "{}", line.replace('\n', " "));
-    let mut answer = String::new();
-    let mut reader = BufReader::new(stream);
-    if reader.read_line(&mut answer)? == 0 {
-        sent?;
-        return Err(io::ErrorKind::UnexpectedEof.into());
+/// A connection to a recorder that can be asked again and again.
+pub struct ControlClient {
+    reader: BufReader<UnixStream>,
+}
+
+impl ControlClient {
+    /// Connects to the recorder behind the socket.
+    pub fn connect(path: &Path) -> io::Result<Self> {
+        let stream = UnixStream::connect(path)?;
+        stream.set_read_timeout(Some(2 * ANSWER_TIMEOUT))?;
+        Ok(Self { reader: BufReader::new(stream) })
     }
-    let line: Value = serde_json::from_str(&answer)?;
-    let count = line["bytes"].as_u64().unwrap_or(0);
-    if count > MAX_ANSWER_BYTES {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, format!("an answer of {count} bytes")));
+
+    /// Sends one command and returns its whole answer.
+    pub fn ask(&mut self, line: &str) -> io::Result<Answer> {
+        // A recorder that refuses another client, or an overlong line, answers before it has read everything.
+        let sent = writeln!(self.reader.get_mut(), "{}", line.replace('\n', " "));
+        let mut answer = String::new();
+        if self.reader.read_line(&mut answer)? == 0 {
+            sent?;
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        let line: Value = serde_json::from_str(&answer)?;
+        let count = line["bytes"].as_u64().unwrap_or(0);
+        if count > MAX_ANSWER_BYTES {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, format!("an answer of {count} bytes")));
+        }
+        let mut bytes = vec![0; count as usize];
+        self.reader.read_exact(&mut bytes)?;
+        Ok(Answer { line, bytes })
     }
-    let mut bytes = vec![0; count as usize];
-    reader.read_exact(&mut bytes)?;
-    Ok(Answer { line, bytes })
 }
 
 /// Calls `take` with every tag from here on, a line of JSON each, until the recorder ends or `stop` is set.

@@ -238,8 +238,8 @@ impl<'a> LiveRecorder<'a> {
 
     fn handle_command(&mut self, order: Order, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
         let done = match order.what {
-            ControlCommand::Frame => {
-                let _ = order.answer.try_send(self.latest_frame());
+            ControlCommand::Frame(known) => {
+                let _ = order.answer.try_send(self.latest_frame(known));
                 return Ok(());
             }
             ControlCommand::Status => {
@@ -268,12 +268,15 @@ impl<'a> LiveRecorder<'a> {
     }
 
     /// The latest frame of the session with its tag, field and lens. Its image is sent as the camera made it, and not encoded here.
-    fn latest_frame(&self) -> Answer {
+    fn latest_frame(&self, known: Option<u64>) -> Answer {
         let Some((session, (message, tag))) =
             self.session.as_ref().and_then(|session| Some((session, session.latest()?)))
         else {
             return json!({ "error": "there is no frame yet" }).into();
         };
+        if known == Some(tag.sequence) {
+            return json!({ "unchanged": true }).into();
+        }
         let image = CompressedImageView::decode(&message.data).map(|view| view.data.to_vec()).unwrap_or_default();
         let line = json!({ "bytes": image.len(), "tag": tag, "field": session.field(), "lens": self.lens });
         Answer { line, bytes: image }

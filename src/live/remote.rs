@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 
 use super::Status;
-use super::control::{Answer, ask, ask_for_bytes};
+use super::control::{Answer, ControlClient, ask};
 use crate::evaluation::drawing::projected_lines;
 use crate::geometry::{Field, FieldDimensions, Isometry, Lens, LensParameters};
 use crate::ros2::messages::{Point, Pose, Quaternion};
@@ -68,8 +68,8 @@ struct Seen {
 
 /// Time between two questions about the status.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
-/// Smallest time between two frames: ten a second are enough to watch.
-const FRAME_EVERY: Duration = Duration::from_millis(100);
+/// Smallest time between two frames: five a second are enough to watch.
+const FRAME_EVERY: Duration = Duration::from_millis(200);
 /// Time after the last look within which frames are fetched.
 const LOOKED_WITHIN: Duration = Duration::from_secs(3);
 /// Time between two attempts to reach the robot.
@@ -199,18 +199,22 @@ impl Shared {
     /// Asks until the recorder does not answer any more. Returns why.
     fn follow(&self, connection: &Connection) -> String {
         let socket = &connection.socket;
+        let mut client = match ControlClient::connect(socket) {
+            Ok(client) => client,
+            Err(error) => return self.explain(&error),
+        };
         let mut status_at: Option<Instant> = None;
         while !self.has_ended() {
             if status_at.is_none_or(|at| at.elapsed() >= STATUS_EVERY) {
                 status_at = Some(Instant::now());
-                match ask(socket, "status") {
-                    Ok(status) => self.take_status(socket, status),
+                match client.ask("status") {
+                    Ok(status) => self.take_status(socket, status.line),
                     Err(error) => return self.explain(&error),
                 }
             }
             let is_watched = self.seen().looked.is_some_and(|looked| looked.elapsed() < LOOKED_WITHIN);
             if is_watched {
-                match ask_for_bytes(socket, "frame") {
+                match client.ask(&self.frame_order()) {
                     Ok(answer) => self.take_frame(answer),
                     Err(error) => return self.explain(&error),
                 }
@@ -220,13 +224,22 @@ impl Shared {
         String::new()
     }
 
+    /// The question for a frame that is not the one that is known already.
+    fn frame_order(&self) -> String {
+        match self.seen().frame["tag"]["sequence"].as_u64() {
+            Some(sequence) => format!("frame {sequence}"),
+            None => "frame".to_owned(),
+        }
+    }
+
     fn explain(&self, error: &std::io::Error) -> String {
         let socket = self.at.socket.display();
         match error.kind() {
             ErrorKind::NotFound
             | ErrorKind::ConnectionRefused
             | ErrorKind::UnexpectedEof
-            | ErrorKind::ConnectionReset => {
+            | ErrorKind::ConnectionReset
+            | ErrorKind::BrokenPipe => {
                 format!("no recorder answers at {socket} (systemctl status realitysim); it is tried again")
             }
             ErrorKind::PermissionDenied => {
@@ -251,11 +264,12 @@ impl Shared {
             true => "the recorder on the robot is older and sends no pictures: update it".to_owned(),
             false => error.to_owned(),
         });
-        if error.is_none() {
+        let is_new = error.is_none() && line["unchanged"] != true;
+        if is_new {
             line["lines"] = lines(&line);
         }
         let mut seen = self.seen();
-        if error.is_none() && line["tag"]["sequence"] != seen.frame["tag"]["sequence"] {
+        if is_new {
             (seen.frame, seen.picture, seen.came) = (line, bytes, Some(Instant::now()));
         }
         seen.no_frame = error;

@@ -27,7 +27,7 @@ macro_rules! file {
 }
 
 /// The files of the page.
-const FILES: [PageFile; 11] = [
+const FILES: [PageFile; 13] = [
     file!("/", "index.html", HTML),
     file!("/page/style.css", "style.css", STYLE),
     file!("/page/icon.svg", "icon.svg", PICTURE),
@@ -36,6 +36,8 @@ const FILES: [PageFile; 11] = [
     file!("/page/field.js", "field.js", SCRIPT),
     file!("/page/pose.js", "pose.js", SCRIPT),
     file!("/page/walk.js", "walk.js", SCRIPT),
+    file!("/page/views.js", "views.js", SCRIPT),
+    file!("/page/evidence.js", "evidence.js", SCRIPT),
     file!("/page/captures.js", "captures.js", SCRIPT),
     file!("/page/live.js", "live.js", SCRIPT),
     file!("/page/charts.js", "charts.js", SCRIPT),
