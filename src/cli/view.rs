@@ -88,7 +88,7 @@ pub struct ViewArguments {
     /// Nearest image, the paper's view and the exact one beside each other, with mask and numbers
     #[arg(long)]
     side_by_side: bool,
-    /// Write the mask: white is known geometry, gray right in direction only, black shows nothing
+    /// Write the mask: white is known geometry, gray beyond the ground (the hall, and what stands before it), black shows nothing
     #[arg(long, value_name = "PNG")]
     mask: Option<PathBuf>,
     /// Robot config, for its section [views]
@@ -293,7 +293,7 @@ fn side_by_side_panels<T>(
             Ok(mut shown) => {
                 apply(&mut shown);
                 let answer = &shown.answer;
-                let error = match answer.expected_error_of_known_px() {
+                let error = match answer.trusted_error_px() {
                     Some(error) => format!("expected error {error:.1} px"),
                     None => "no known geometry".to_owned(),
                 };
@@ -317,7 +317,7 @@ fn side_by_side_panels<T>(
         image
     };
     let caption =
-        format!("mask: {:.0} % known geometry, blue by direction only, red nothing", 100.0 * exact.answer.sure_share);
+        format!("mask: {:.0} % known geometry, blue beyond the ground, red nothing", 100.0 * exact.answer.sure_share);
     panels.push((tint(&exact.answer.image), caption));
     Ok(drawing::panels(&panels, 2))
 }
@@ -347,7 +347,7 @@ fn report(database: &ImageDatabase, shown: &ViewResult, arguments: &ViewArgument
         sources: answer.sources.iter().map(source).collect(),
         valid_share: answer.valid_share,
         sure_share: answer.sure_share,
-        expected_error_px: answer.expected_error_of_known_px(),
+        expected_error_px: answer.trusted_error_px(),
         effects: Vec::new(),
         unreadable: shown.unreadable.clone(),
         warning: answer.warning(arguments.max_distance),

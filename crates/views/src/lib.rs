@@ -32,6 +32,7 @@ mod camera;
 mod compose;
 mod coverage_mask;
 mod dynamic_mask;
+mod expected_error;
 mod goal_check;
 mod ground_warp;
 mod hall;
@@ -103,7 +104,7 @@ pub fn view(request: &Request, candidates: &[Candidate]) -> Result<SynthesizedVi
             if chosen.iter().any(|source| source.image.has_moving()) {
                 occlusion_fill::fill(&mut composed, request, &target, &warps, chosen, &gains);
             }
-            request.refuse_sparse(SynthesizedView::composed(request, &target, chosen, composed)?)
+            request.refuse_sparse(SynthesizedView::composed(request, &target, &warps, chosen, composed)?)
         }
     }
 }

@@ -104,11 +104,6 @@ impl<'a> Target<'a> {
         self.nodes.len()
     }
 
-    /// Inverse distances of the ground at the corners of cells, 1/m along the ray.
-    pub(super) fn ground_corners(&self) -> impl Iterator<Item = f64> {
-        self.nodes.iter().filter_map(|node| node.as_ref()?.1.on_ground())
-    }
-
     /// The surface at a corner of cells, or `None` where the lens draws nothing.
     pub(super) fn surface_at(&self, node: usize) -> Option<Surface> {
         self.nodes[node].map(|(_, hit)| hit.surface)

@@ -60,6 +60,11 @@ impl World {
         Self { ground_half: field.carpet_half_extent() + DVec2::splat(APRON_M), bars, hall: Hall::default() }
     }
 
+    /// The hall.
+    pub fn hall(&self) -> &Hall {
+        &self.hall
+    }
+
     /// The same in a hall.
     pub fn with_hall(self, hall: Hall) -> Self {
         Self { hall, ..self }
