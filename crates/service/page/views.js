@@ -110,7 +110,7 @@ export class ViewLoop {
   }
 }
 
-/** A view whose fourth channel is the mask: what is unsure is bluish, what no image shows is red. */
+/** A view whose fourth channel is the mask: what lies beyond the ground is bluish, what no image shows is red. */
 async function masked(answer) {
   const [width, height] = ['realitysim-width', 'realitysim-height'].map((name) => Number(answer.headers.get(name)));
   const pixels = new Uint8ClampedArray(await answer.arrayBuffer());
