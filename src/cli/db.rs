@@ -12,6 +12,7 @@ use super::{Outcome, output};
 use crate::config::{Settings, load_field_of_size};
 use crate::database::{self, Added, Checked, ImageDatabase, Stats, TagLimits};
 use crate::geometry::PoseGrid;
+use crate::views::Hall;
 
 /// Keep an image database: captures' images, found by the pose of their camera
 ///
@@ -211,6 +212,21 @@ fn remove(arguments: &RemoveArguments, json: bool) -> anyhow::Result<Outcome> {
     Ok(Outcome::Whole)
 }
 
+/// The planes of a hall that are known, and what becomes of the others.
+fn hall_text(hall: &Hall) -> String {
+    if hall.is_unknown() {
+        return "hall unknown: what is above the ground is taken to be infinitely far".to_owned();
+    }
+    let metres = |plane: Option<f64>| plane.map_or_else(|| "far".to_owned(), |metres| format!("{metres:.1} m"));
+    let [front, left, back, right] = hall.walls_m.map(metres);
+    let turned =
+        if hall.yaw_rad == 0.0 { String::new() } else { format!(", turned by {:.0} deg", hall.yaw_rad.to_degrees()) };
+    format!(
+        "hall: walls at +x {front}, +y {left}, -x {back}, -y {right} from the centre{turned}; ceiling {}",
+        metres(hall.ceiling_m)
+    )
+}
+
 fn stats(stats: &Stats, json: bool) -> anyhow::Result<Outcome> {
     if json {
         output::json(stats)?;
@@ -247,6 +263,7 @@ fn stats(stats: &Stats, json: bool) -> anyhow::Result<Outcome> {
             source.left_out,
             source.path.display()
         ));
+        text.push_str(&format!("         {}\n", hall_text(&source.hall)));
     }
     output::lines(text.trim_end())?;
     Ok(Outcome::Whole)

@@ -293,7 +293,7 @@ fn side_by_side_panels<T>(
             Ok(mut shown) => {
                 apply(&mut shown);
                 let answer = &shown.answer;
-                let error = match answer.expected_error_of_known_px() {
+                let error = match answer.trusted_error_px() {
                     Some(error) => format!("expected error {error:.1} px"),
                     None => "no known geometry".to_owned(),
                 };
@@ -347,7 +347,7 @@ fn report(database: &ImageDatabase, shown: &ViewResult, arguments: &ViewArgument
         sources: answer.sources.iter().map(source).collect(),
         valid_share: answer.valid_share,
         sure_share: answer.sure_share,
-        expected_error_px: answer.expected_error_of_known_px(),
+        expected_error_px: answer.trusted_error_px(),
         effects: Vec::new(),
         unreadable: shown.unreadable.clone(),
         warning: answer.warning(arguments.max_distance),

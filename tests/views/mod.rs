@@ -3,6 +3,7 @@
 mod darkened;
 mod exactness;
 mod goals;
+mod hall;
 mod moving;
 mod real;
 

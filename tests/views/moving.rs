@@ -13,7 +13,7 @@ use super::{candidate, field, lens, pose, request};
 const STRAIGHT: &str = include_str!("../../replay/scenes/straight.toml");
 
 /// Of the straight walk, with these figures.
-fn hall(obstacles: &str) -> Renderer {
+pub fn hall(obstacles: &str) -> Renderer {
     let plain = STRAIGHT.split("[[effect]]").next().expect("a scene").replace("kid-2013", "kid-2009");
     let effect =
         if obstacles.is_empty() { String::new() } else { format!("[[effect]]\nkind = \"obstacles\"\n{obstacles}\n") };
@@ -22,7 +22,7 @@ fn hall(obstacles: &str) -> Renderer {
     Renderer::new(&Scene::build(file, dimensions, lens().parameters().clone()).expect("a scene"))
 }
 
-fn picture(hall: &Renderer, camera: &Camera, pose: &Isometry, frame: u64) -> Raster {
+pub fn picture(hall: &Renderer, camera: &Camera, pose: &Isometry, frame: u64) -> Raster {
     let mut rgb = Vec::new();
     hall.render_from(pose, frame, &mut rgb);
     Raster::from_rgb(camera.width(), camera.height(), &rgb, camera.shows()).expect("fits")

@@ -5,7 +5,7 @@
     view = client.view(x=0.3, y=-0.5, z=0.5, yaw_deg=30, pitch_deg=18)
     view.image        # numpy array, height x width x 3, uint8, R G B
     view.made         # stored, nearest, warped or composed
-    view.mask         # height x width: 255 known geometry, 128 right in direction only, 0 nothing; with mask="alpha"
+    view.mask         # height x width: 255 known geometry, 128 right in direction only, 0 nothing; None with mask="none"
 
 Poses are of ``camera_link`` in ``map``: x forward, y left, z up, metres; yaw, pitch, roll in degrees, pitch above 0 looks down.
 A client holds one connection, so that a view costs no more than making it; use one for each thread.
@@ -51,7 +51,7 @@ class View:
     expected_error_px: Optional[float]
     """Of known geometry; None where none is shown."""
     mask: Optional[np.ndarray] = None
-    """height x width, uint8, with mask="alpha"."""
+    """height x width, uint8; None with mask="none" or mask="only"."""
     warning: Optional[str] = None
     """Set when the nearest image is farther away than allowed and outside="warn" was asked for."""
     headers: Mapping[str, str] = field(default_factory=dict, repr=False)
@@ -73,9 +73,9 @@ class Client:
 
     def view(self, x: float, y: float, z: float, yaw_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.0, **parameters: Any) -> View:
         """The view from a pose. ``parameters`` are those of /v1/view: method, width, height, lens, scene, figures, frame,
-        max_distance_m, outside, mask."""
+        max_distance_m, outside, mask. The mask comes along (``view.mask``) unless ``mask="none"``."""
         pose = {"x": x, "y": y, "z": z, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "roll_deg": roll_deg}
-        query = urllib.parse.urlencode({**pose, **parameters})
+        query = urllib.parse.urlencode({**pose, "mask": "alpha", **parameters})
         headers, body = self._ask("GET", f"/v1/view?{query}")
         return _view(headers, body)
 
@@ -87,11 +87,11 @@ class Client:
     def views(self, poses: Iterable[Mapping[str, Any]], **parameters: Any) -> Iterator[Union[View, RealitySimError]]:
         """Many views with one request, as they are made and in their order; an error stands in the place of a view that could
         not be made. The next request ends it."""
-        return self._batch({"poses": [dict(pose) for pose in poses], **parameters})
+        return self._batch({"poses": [dict(pose) for pose in poses], "mask": "alpha", **parameters})
 
     def trajectory(self, start: Mapping[str, Any], end: Mapping[str, Any], count: int, **parameters: Any) -> Iterator[Union[View, RealitySimError]]:
         """``count`` views evenly from one pose to another, both included."""
-        return self._batch({"from": dict(start), "to": dict(end), "count": count, **parameters})
+        return self._batch({"from": dict(start), "to": dict(end), "count": count, "mask": "alpha", **parameters})
 
     def info(self) -> dict:
         """What the database holds, which lenses and scenes there are."""

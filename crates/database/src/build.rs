@@ -18,7 +18,7 @@ use super::masks::{self, Masks};
 use super::pixels::read_bytes;
 use super::record::Record;
 use super::sources::{self, Read};
-use super::{goals, vignetting};
+use super::{goals, hall, vignetting};
 use realitysim_geometry::{Field, FieldDimensions, LensParameters};
 use realitysim_recording::Loss;
 
@@ -204,6 +204,7 @@ fn add_source(
         source.body_masks = masks.collect::<Result<_, _>>()?;
     }
     source.darkening = vignetting::measure(folder, &source, &found, &catalogue.field)?;
+    source.hall = hall::measure(folder, &source, &found, &catalogue.field)?;
     if source.goals && catalogue.field.goal.is_some() {
         source.goals = goals::are_present(folder, &source, &found, &catalogue.field)?.unwrap_or(true);
     }

@@ -11,6 +11,7 @@ use super::index::{Index, path_of};
 use realitysim_config::plain_file;
 use realitysim_geometry::{FieldDimensions, LensParameters};
 use realitysim_recording::write_atomically;
+use realitysim_views::Hall;
 
 /// The content of `database.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -45,6 +46,9 @@ pub struct Source {
     /// [`realitysim_views::Vignetting`].
     #[serde(default)]
     pub darkening: Option<[f64; 3]>,
+    /// The walls and the ceiling that the images determine.
+    #[serde(default)]
+    pub hall: Hall,
     /// Number of images in the index.
     pub images: u64,
     /// Number of frames left out: without a valid tag, with a tag beyond `limits`, or with an image that does not decode or

@@ -9,6 +9,7 @@ use glam::DVec2;
 use super::build::bytes_of;
 use super::catalogue::{Catalogue, MAX_TRIES, Source};
 use super::error::DatabaseError;
+use super::hall;
 use super::index::{Index, Neighbour};
 use super::kd_tree::Metric;
 use super::masks::Masks;
@@ -112,6 +113,7 @@ impl ImageDatabase {
         }
         let any_goals = catalogue.sources.iter().any(|source| source.goals);
         let world = if settings.goals && any_goals { World::new(&field) } else { World::without_goals(&field) };
+        let world = world.with_hall(hall::common(&catalogue.sources));
         let decoded = Mutex::new(Decoded::new(settings.cache_mb << 20));
         let settings = settings.clone();
         Ok(Self { folder: folder.to_owned(), catalogue, index, settings, field, world, cameras, shows, decoded })

@@ -46,6 +46,7 @@ mod catalogue;
 mod coverage;
 mod error;
 mod goals;
+mod hall;
 mod image_circle;
 mod image_database;
 mod index;

@@ -22,7 +22,7 @@ use realitysim_recording::{
 };
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
 use realitysim_ros2::messages::{CompressedImageView, FrameTag};
-use realitysim_views::{MAX_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MIN_HEIGHT_M};
+use realitysim_views::{Hall, MAX_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MIN_HEIGHT_M};
 use realitysim_vision::BodyMask;
 
 /// A source that was read, with its images.
@@ -181,6 +181,7 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
         files: files.iter().map(relative).collect(),
         dark: None,
         darkening: None,
+        hall: Hall::default(),
         // A capture without stored masks names the files of the machine where it was made.
         body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),
         images: records.len() as u64,
@@ -364,6 +365,7 @@ fn read_folder(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> R
         body_masks: Vec::new(),
         dark: None,
         darkening: None,
+        hall: Hall::default(),
         images,
         left_out,
         limits,

@@ -295,7 +295,7 @@ fn provenance(database: &ImageDatabase, shown: &ViewResult, channels: usize) -> 
         ("realitysim-channels", channels.to_string()),
         ("realitysim-index", database.catalogue().index.to_string()),
     ];
-    if let Some(pixels) = answer.expected_error_of_known_px() {
+    if let Some(pixels) = answer.trusted_error_px() {
         headers.push(("realitysim-expected-error-px", format!("{pixels:.3}")));
     }
     if !shown.unreadable.is_empty() {

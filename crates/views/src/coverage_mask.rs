@@ -48,9 +48,10 @@ impl CoverageMask {
         let nodes = (step / 2..rows).step_by(step).flat_map(|row| {
             (step / 2..columns).step_by(step).map(move |column| camera.node_rays()[row * columns + column])
         });
+        let background = world.background_from(map_from_optical.translation);
         let place = |ray: DVec3| {
             let ray = map_from_optical.transform_vector(ray);
-            match world.behind_goals(map_from_optical.translation, ray).on_ground() {
+            match background.hit(ray).on_ground() {
                 None => Place::Far(ray),
                 Some(inverse_distance) => {
                     let at = (map_from_optical.translation + ray / inverse_distance).with_z(0.0);

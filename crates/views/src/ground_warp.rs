@@ -89,6 +89,11 @@ impl<'a> Warp<'a> {
         self.has_goal(a.min(b).min(c).min(d), a.max(b).max(c).max(d))
     }
 
+    /// Position of the source's camera in `map`, metres.
+    pub(super) fn place(&self) -> DVec3 {
+        self.place
+    }
+
     /// Distance between both cameras, metres.
     pub(super) fn baseline_m(&self) -> f64 {
         self.place.distance(self.target.place)

@@ -32,8 +32,11 @@ mod camera;
 mod compose;
 mod coverage_mask;
 mod dynamic_mask;
+mod expected_error;
 mod goal_check;
 mod ground_warp;
+mod hall;
+mod hall_fit;
 mod occlusion_fill;
 pub mod paper;
 mod photometry;
@@ -52,6 +55,8 @@ pub use coverage_mask::{CoverageMask, PlaceMask};
 pub use dynamic_mask::{Scenery, mark_moving};
 pub use goal_check::GoalBars;
 pub use ground_warp::Warp;
+pub use hall::Hall;
+pub use hall_fit::{HallFit, HallImage, fit_hall};
 pub use photometry::{Gain, Vignetting};
 pub use raster::{NOTHING, Pyramid, Raster, SURE, UNSURE};
 pub use similarity::{Similarity, similarity};
@@ -99,7 +104,7 @@ pub fn view(request: &Request, candidates: &[Candidate]) -> Result<SynthesizedVi
             if chosen.iter().any(|source| source.image.has_moving()) {
                 occlusion_fill::fill(&mut composed, request, &target, &warps, chosen, &gains);
             }
-            request.refuse_sparse(SynthesizedView::composed(request, &target, chosen, composed)?)
+            request.refuse_sparse(SynthesizedView::composed(request, &target, &warps, chosen, composed)?)
         }
     }
 }

@@ -83,11 +83,12 @@ pub fn correspondences(from: &Posed, to: &Posed, world: &World, how: Corresponde
         }
         Correspondences::InImage { spacing_px } => {
             let camera = from.camera;
+            let background = world.background_from(from_pose.translation);
             let rows = (0..camera.height()).step_by(spacing_px);
             let pixels = rows.flat_map(|v| (0..camera.width()).step_by(spacing_px).map(move |u| (u, v)));
             let place = |(u, v): (usize, usize)| {
                 let ray = from_pose.transform_vector(camera.ray(u, v)?);
-                let hit = world.behind_goals(from_pose.translation, ray);
+                let hit = background.hit(ray);
                 let near = hit.inverse_distance * from_pose.translation.z * RANGE_LIMIT_HEIGHTS > 1.0;
                 let on_ground = near && hit.surface == Surface::Ground;
                 on_ground.then(|| (from_pose.translation + ray / hit.inverse_distance).with_z(0.0))

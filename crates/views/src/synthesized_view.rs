@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use super::expected_error::expected_error_px;
 use super::ground_warp::Warp;
 use super::raster::{NOTHING, Pyramid, Raster, SURE};
 use super::target_rays::Target;
@@ -116,7 +117,8 @@ pub struct SynthesizedView {
     pub valid_share: f64,
     /// Share of the pixels drawn by the lens that show known geometry: ground or goal.
     pub sure_share: f64,
-    /// Expected displacement of known geometry, root mean square in pixels, due to the tags' errors and to the map itself.
+    /// Expected displacement of what is shown, root mean square in pixels, due to the errors of tags, of the ground's height and of the
+    /// distance of what is beyond the ground, and to the map itself.
     pub expected_error_px: f64,
 }
 
@@ -206,8 +208,8 @@ pub const MAX_FAR_M: f64 = 1000.0;
 const MIN_TRUSTED_SHARE: f64 = 0.5;
 /// A view that shows a smaller share is refused if a distance limit is set.
 const MIN_SHOWN_SHARE: f64 = 0.25;
-/// Error of a map that is interpolated on a grid, root mean square, pixels.
-const GRID_ERROR_PX: f64 = 0.04;
+/// A view of which a smaller share is known geometry has no expected error: what little there is says nothing about the rest.
+const MIN_SCORED_SHARE: f64 = 0.05;
 
 /// Checks that a view can be requested from this pose of `camera_link`.
 pub fn check_pose(map_from_link: &Isometry) -> Result<(), ViewError> {
@@ -268,9 +270,9 @@ pub fn angle_between(a: &Isometry, b: &Isometry) -> f64 {
 }
 
 impl SynthesizedView {
-    /// `expected_error_px`, or `None` if the view shows no known geometry.
-    pub fn expected_error_of_known_px(&self) -> Option<f64> {
-        (self.sure_share > 0.0).then_some(self.expected_error_px)
+    /// `expected_error_px`, or `None` if less than a twentieth of the view is known geometry.
+    pub fn trusted_error_px(&self) -> Option<f64> {
+        (self.sure_share >= MIN_SCORED_SHARE).then_some(self.expected_error_px)
     }
 
     /// The image of `source` as a view, unchanged.
@@ -279,15 +281,11 @@ impl SynthesizedView {
         // A stored image is judged by the requested lens, even if its own picture ends earlier.
         let camera = if made == Provenance::Stored { request.camera } else { source.camera };
         let (valid_share, sure_share) = shares(camera, &image);
-        let error = match made {
-            // Every point of the ground is shown where the source's camera saw it.
-            Provenance::Nearest => {
-                let target = Target::new(request.camera, &request.map_from_link, request.world);
-                Warp::new(&target, source).rms_shift_px()
-            }
-            _ => 0.0,
-        };
-        let expected_error_px = libm::hypot(error, Nearness::of(request).tag_error_px(&source.tag));
+        let target = Target::new(request.camera, &request.map_from_link, request.world);
+        let warp = Warp::new(&target, source);
+        // Every point of the ground is shown where the source's camera saw it.
+        let shift_px = if made == Provenance::Nearest { warp.rms_shift_px() } else { 0.0 };
+        let expected_error_px = libm::hypot(shift_px, expected_error_px(&target, &warp, &source.tag));
         let (map_from_link, sources) = (source.map_from_link, vec![request.used(source, 1.0)]);
         Self { image, made, map_from_link, sources, valid_share, sure_share, expected_error_px }
     }
@@ -295,7 +293,9 @@ impl SynthesizedView {
     /// A view warped from one source, whose map has this error in pixels (root mean square).
     pub(super) fn warped(request: &Request, source: &Candidate, image: Raster, map_error_px: f64) -> Self {
         let (valid_share, sure_share) = shares(request.camera, &image);
-        let expected_error_px = libm::hypot(map_error_px, Nearness::of(request).tag_error_px(&source.tag));
+        let target = Target::new(request.camera, &request.map_from_link, request.world);
+        let tag_error_px = expected_error_px(&target, &Warp::new(&target, source), &source.tag);
+        let expected_error_px = libm::hypot(map_error_px, tag_error_px);
         let (map_from_link, sources) = (request.map_from_link, vec![request.used(source, 1.0)]);
         Self { image, made: Provenance::Warped, map_from_link, sources, valid_share, sure_share, expected_error_px }
     }
@@ -322,6 +322,7 @@ impl SynthesizedView {
     pub(super) fn composed(
         request: &Request,
         target: &Target,
+        warps: &[Warp],
         candidates: &[Candidate],
         composed: super::compose::Composed,
     ) -> Result<Self, ViewError> {
@@ -332,12 +333,11 @@ impl SynthesizedView {
         if valid_share == 0.0 {
             return Err(ViewError::NothingSeen);
         }
-        let nearness = Nearness::new(request.camera, target.ground_corners());
-        let squares = candidates.iter().zip(&used).map(|(source, share)| {
-            let error = nearness.tag_error_px(&source.tag);
+        let squares = warps.iter().zip(&used).filter(|(_, share)| **share > 0.0).map(|(warp, share)| {
+            let error = expected_error_px(target, warp, &warp.source().tag);
             share * error * error
         });
-        let expected_error_px = libm::sqrt(squares.sum::<f64>() + GRID_ERROR_PX * GRID_ERROR_PX);
+        let expected_error_px = libm::sqrt(squares.sum::<f64>());
         let sources: Vec<UsedSource> = candidates
             .iter()
             .zip(&used)
@@ -364,40 +364,4 @@ fn shares(camera: &Camera, image: &Raster) -> (f64, f64) {
         [drawn, valid, sure].map(f64::from)
     });
     (valid / drawn.max(1.0), sure / drawn.max(1.0))
-}
-
-/// Nearness of the visible ground, which turns the error of a tag into pixels.
-struct Nearness {
-    /// Focal length, pixels.
-    focal: f64,
-    /// Mean square of the inverse distances of the visible ground, 1/m^2.
-    mean_square: f64,
-}
-
-impl Nearness {
-    /// Nearness of the ground that the requested view shows.
-    fn of(request: &Request) -> Self {
-        let map_from_optical = super::optical(&request.map_from_link);
-        let place = map_from_optical.translation;
-        let turn = glam::DMat3::from_quat(map_from_optical.rotation);
-        let rays = request.camera.node_rays().iter().filter(|ray| !ray.x.is_nan());
-        let hits = rays.map(|ray| request.world.behind_goals(place, turn * *ray));
-        Self::new(request.camera, hits.filter_map(|hit| hit.on_ground()))
-    }
-
-    /// Nearness from the inverse distances along rays that meet the ground, 1/m.
-    fn new(camera: &Camera, inverse_distances: impl Iterator<Item = f64>) -> Self {
-        let (mut sum, mut count) = (0.0, 0usize);
-        inverse_distances.for_each(|inverse| {
-            sum += inverse * inverse;
-            count += 1;
-        });
-        Self { focal: camera.lens().focal(), mean_square: sum / count.max(1) as f64 }
-    }
-
-    /// Displacement of the ground, root mean square in pixels, if the tag is wrong by one standard deviation.
-    fn tag_error_px(&self, tag: &TagError) -> f64 {
-        let square = tag.rotation_rad * tag.rotation_rad + tag.position_m * tag.position_m * self.mean_square;
-        self.focal * libm::sqrt(square)
-    }
 }

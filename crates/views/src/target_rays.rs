@@ -1,11 +1,11 @@
 //! The surfaces that the rays of the wanted view meet.
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3, Vec3};
 
 use super::camera::{AREA, CELL, Camera};
 use super::optical;
 use super::raster::{NOTHING, SURE, UNSURE};
-use super::world::{Goals, Hit, Surface, World};
+use super::world::{Background, Goals, Hit, Surface, World};
 use realitysim_geometry::{Isometry, multiversioned};
 
 /// The wanted view: its pose and the surfaces that its rays meet. One target serves all sources.
@@ -15,6 +15,8 @@ pub struct Target<'a> {
     pub(super) world: &'a World,
     /// The goals as seen from the wanted camera.
     goals: Goals,
+    /// Ground and hall as seen from there.
+    background: Background,
     /// Position of the camera in `map`, metres.
     pub(super) place: DVec3,
     map_from_optical: DMat3,
@@ -69,9 +71,10 @@ impl<'a> Target<'a> {
     pub fn new(camera: &'a Camera, map_from_link: &Isometry, world: &'a World) -> Self {
         let map_from_optical = optical(map_from_link);
         let (place, rotation) = (map_from_optical.translation, DMat3::from_quat(map_from_optical.rotation));
+        let background = world.background_from(place);
         let node = |ray: &DVec3| {
             let ray = rotation * *ray;
-            (!ray.x.is_nan()).then(|| (ray, world.behind_goals(place, ray)))
+            (!ray.x.is_nan()).then(|| (ray, background.hit(ray)))
         };
         let nodes: Vec<Option<(DVec3, Hit)>> = camera.node_rays().iter().map(node).collect();
         let (columns, rows) = camera.cells();
@@ -79,7 +82,8 @@ impl<'a> Target<'a> {
         let seen_goals = world.goals_from(place, SOFT_EDGE_PX / camera.lens().focal());
         let node_hits = nodes.chunks(AREA).map(RayHits::of_nodes).collect();
         let (map_from_optical, goals_seen, mixed) = (rotation, seen_goals, Vec::new());
-        let mut target = Self { camera, world, goals: goals_seen, place, map_from_optical, nodes, node_hits, mixed };
+        let mut target =
+            Self { camera, world, goals: goals_seen, background, place, map_from_optical, nodes, node_hits, mixed };
         let hits = |(index, cell): (usize, (usize, usize))| {
             let surfaces = corners(columns, cell).map(|corner| target.surface_at(corner));
             let goal = goals.get(index).is_some_and(|goal| *goal);
@@ -100,11 +104,6 @@ impl<'a> Target<'a> {
         self.nodes.len()
     }
 
-    /// Inverse distances of the ground at the corners of cells, 1/m along the ray.
-    pub(super) fn ground_corners(&self) -> impl Iterator<Item = f64> {
-        self.nodes.iter().filter_map(|node| node.as_ref()?.1.on_ground())
-    }
-
     /// The surface at a corner of cells, or `None` where the lens draws nothing.
     pub(super) fn surface_at(&self, node: usize) -> Option<Surface> {
         self.nodes[node].map(|(_, hit)| hit.surface)
@@ -120,26 +119,29 @@ impl<'a> Target<'a> {
     pub(super) fn ray_hits(&self, (column, row): (usize, usize), goal: bool) -> RayHits {
         let mut hits = RayHits::default();
         self.camera.cell_rays(column, row, &mut hits.rays);
-        self.intersect_ground(&mut hits);
+        self.intersect_background(&mut hits);
         if goal {
             self.intersect_goals(&mut hits);
         }
         hits
     }
 
-    /// Rotates the camera's rays into `map` and intersects them with the ground, like [`World::behind_goals`].
-    fn intersect_ground(&self, hits: &mut RayHits) {
+    /// Rotates the camera's rays into `map` and intersects them with ground and hall, like [`Background::hit`].
+    fn intersect_background(&self, hits: &mut RayHits) {
         let target = self;
         multiversioned!(|target: &Target, hits: &mut RayHits| {
             let [x, y, z] = rotated(&target.map_from_optical, &hits.rays);
             let (place, half) = (target.place.as_vec3(), target.world.ground_half().as_vec2());
+            let [floor, rest @ ..] = target.background.hall.planes();
             for i in 0..AREA {
-                let nearness = -z[i] / place.z;
+                let along = |plane: Vec3| plane.x * x[i] + plane.y * y[i] + plane.z * z[i];
+                let nearness = along(floor);
+                let nearest = rest.iter().fold(0.0f32, |nearest, plane| nearest.max(along(*plane)));
                 let distance = 1.0 / nearness;
                 let on_carpet =
                     ((place.x + x[i] * distance).abs() <= half.x) & ((place.y + y[i] * distance).abs() <= half.y);
-                let ground = (nearness > 0.0) & on_carpet;
-                hits.inverse_distances[i] = if ground { nearness } else { 0.0 };
+                let ground = (nearness > 0.0) & (nearness >= nearest) & on_carpet;
+                hits.inverse_distances[i] = nearest.max(nearness);
                 let far = if x[i].is_nan() { NOTHING } else { UNSURE };
                 hits.sure[i] = if ground { SURE } else { far };
             }
@@ -162,7 +164,7 @@ impl<'a> Target<'a> {
     /// The unit ray of a pixel in `map`, and what it meets; goals are tested only if `goal` is set.
     pub(super) fn ray_hit(&self, u: usize, v: usize, goal: bool) -> Option<(DVec3, Hit)> {
         let ray = self.map_from_optical * self.camera.ray(u, v)?;
-        let behind = self.world.behind_goals(self.place, ray);
+        let behind = self.background.hit(ray);
         let hit = if goal { self.goals.nearest_hit(ray, behind) } else { behind };
         Some((ray, hit))
     }

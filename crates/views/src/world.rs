@@ -1,16 +1,18 @@
-//! The known geometry: the ground plane as far as the field goes, and the goals. Everything else is taken to be infinitely far.
+//! The known geometry: the ground plane as far as the field goes, the goals, and the hall around them.
 
 use glam::{DVec2, DVec3, Vec3};
 
 use super::camera::AREA;
+use super::hall::{Hall, SeenHall};
 use realitysim_geometry::{Field, multiversioned};
 
-/// Known geometry in `map`: an area of ground and the bars of the goals.
+/// Known geometry in `map`: an area of ground, the bars of the goals, and the hall.
 #[derive(Clone, Debug, PartialEq)]
 pub struct World {
     /// Half extents of the area that counts as ground, metres. Beyond it are walls and people, not floor.
     ground_half: DVec2,
     bars: Vec<Bar>,
+    hall: Hall,
 }
 
 /// A post or crossbar of a goal: a round bar, drawn as the plane through its axis that faces the camera. Metres, in `map`.
@@ -28,7 +30,7 @@ pub enum Surface {
     Ground,
     /// A post or crossbar.
     Goal,
-    /// Above the horizon or beyond the ground: taken to be infinitely far, so that only rotation matters.
+    /// The hall beyond the ground: floor, wall or ceiling. A plane that is not known is infinitely far, so that only rotation matters.
     Far,
 }
 
@@ -55,7 +57,17 @@ impl World {
     pub fn new(field: &Field) -> Self {
         let radius = field.dimensions().goal.map_or(0.0, |goal| goal.post_diameter_m / 2.0);
         let bars = field.goal_bars().into_iter().map(|[from, to]| Bar { from, to, radius }).collect();
-        Self { ground_half: field.carpet_half_extent() + DVec2::splat(APRON_M), bars }
+        Self { ground_half: field.carpet_half_extent() + DVec2::splat(APRON_M), bars, hall: Hall::default() }
+    }
+
+    /// The hall.
+    pub fn hall(&self) -> &Hall {
+        &self.hall
+    }
+
+    /// The same in a hall.
+    pub fn with_hall(self, hall: Hall) -> Self {
+        Self { hall, ..self }
     }
 
     /// The ground of a field without goals, as in the paper's experiments or where goals have been removed.
@@ -63,7 +75,8 @@ impl World {
         Self { bars: Vec::new(), ..Self::new(field) }
     }
 
-    pub(super) fn ground_half(&self) -> DVec2 {
+    /// Half extents of the area that counts as ground, metres.
+    pub fn ground_half(&self) -> DVec2 {
         self.ground_half
     }
 
@@ -71,15 +84,9 @@ impl World {
         &self.bars
     }
 
-    /// The surface that a unit ray from a point above the ground meets, ignoring goals.
-    pub(super) fn behind_goals(&self, camera: DVec3, ray: DVec3) -> Hit {
-        let inverse_distance = -ray.z / camera.z;
-        let far = Hit { inverse_distance: 0.0, surface: Surface::Far };
-        if inverse_distance <= 0.0 || !inverse_distance.is_finite() {
-            return far;
-        }
-        let place = (camera + ray / inverse_distance).truncate();
-        if place.abs().cmple(self.ground_half).all() { Hit { inverse_distance, surface: Surface::Ground } } else { far }
+    /// Ground and hall as seen from a point above the ground.
+    pub(super) fn background_from(&self, camera: DVec3) -> Background {
+        Background { camera, ground_half: self.ground_half, hall: self.hall.seen_from(camera) }
     }
 
     /// A function that gives the distance, in metres, at which a unit ray from `camera` meets the nearest post or crossbar.
@@ -97,6 +104,26 @@ impl World {
             SeenBar { bar: *bar, across: from.cross(to).normalize_or_zero(), sine }
         };
         Goals { camera, margin, bars: self.bars.iter().map(seen).collect() }
+    }
+}
+
+/// Ground and hall as seen from the position of one camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Background {
+    camera: DVec3,
+    ground_half: DVec2,
+    pub(super) hall: SeenHall,
+}
+
+impl Background {
+    /// The surface that a unit ray meets, ignoring goals.
+    pub(super) fn hit(&self, ray: DVec3) -> Hit {
+        let floor = self.hall.floor(ray);
+        let inverse_distance = self.hall.inverse_distance(ray);
+        let is_floor = floor > 0.0 && floor >= inverse_distance;
+        let place = (self.camera + ray / floor).truncate();
+        let is_ground = is_floor && place.abs().cmple(self.ground_half).all();
+        Hit { inverse_distance, surface: if is_ground { Surface::Ground } else { Surface::Far } }
     }
 }
 
@@ -297,7 +324,7 @@ mod tests {
         let goals = world.goals_from(camera, 0.0);
         let look = |to: DVec3| {
             let ray = (to - camera).normalize();
-            goals.nearest_hit(ray, world.behind_goals(camera, ray))
+            goals.nearest_hit(ray, world.background_from(camera).hit(ray))
         };
         let ground = look(DVec3::new(2.0, 0.3, 0.0));
         assert_eq!(ground.surface, Surface::Ground);

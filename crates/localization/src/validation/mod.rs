@@ -397,9 +397,9 @@ impl PoseValidator {
         let foremost = (THRESHOLDS.found_foremost - THRESHOLDS.found_foremost_per_px * lines.half_seen_px)
             .max(THRESHOLDS.min_found_foremost);
         let foremost = foremost - THRESHOLDS.found_again_foremost_relief * again;
-        let usual = self
-            .usual_foremost
-            .map_or(0.0, |usual| usual - THRESHOLDS.usual_margin_found - THRESHOLDS.found_again_share_relief * again);
+        let usual = self.usual_foremost.map_or(0.0, |usual| {
+            usual - THRESHOLDS.usual_margin_found - THRESHOLDS.found_again_foremost_relief * again
+        });
         let share = THRESHOLDS.found_share - THRESHOLDS.found_share_per_px * lines.half_seen_px;
         ConfirmationNeeds {
             digits: if is_alone { THRESHOLDS.found_again_digits } else { THRESHOLDS.found_digits },
