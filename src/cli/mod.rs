@@ -3,6 +3,7 @@
 //!
 //! Exit codes are 0 when done, 1 when something failed, 2 for wrong usage or config, 3 when done but data was lost.
 
+mod calibrate;
 mod check;
 mod db;
 mod demo;
@@ -79,6 +80,7 @@ enum Command {
     Tag(tag::TagArguments),
     Explain(Box<explain::ExplainArguments>),
     Refine(refine::RefineArguments),
+    Calibrate(Box<calibrate::CalibrateArguments>),
     Log(log::LogArguments),
     Import(Box<import::ImportArguments>),
     Export(export::ExportArguments),
@@ -128,6 +130,7 @@ pub fn run() -> ExitCode {
         Command::Tag(arguments) => tag::run(&arguments, json),
         Command::Explain(arguments) => explain::run(&arguments, json),
         Command::Refine(arguments) => refine::run(&arguments, json),
+        Command::Calibrate(arguments) => calibrate::run(&arguments, json),
         Command::Log(arguments) => log::run(&arguments, json),
         Command::Import(arguments) => import::run(&arguments, json),
         Command::Export(arguments) => export::run(&arguments, json),

@@ -5,19 +5,18 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use super::paths::{check_output, temporary, write};
-use super::settings::UsageError;
+use super::paths::temporary;
 use super::values::whole;
 use super::{Outcome, output};
 use crate::config::Settings;
 use crate::database::{DatabaseError, ImageDatabase, TagLimits, add, leave_one_out};
 use crate::evaluation::Summary;
 use crate::evaluation::capture::read_truth;
-use crate::geometry::{Euler, Isometry, LensModel, LensParameters};
-use crate::localization::smoothing::{Constants, Model};
+use crate::geometry::Isometry;
+use crate::localization::smoothing::Model;
 use crate::recording::{RefinedConstant, RefinedInfo};
 use crate::ros2::messages::FrameTag;
-use crate::tagging::offline_refinement::{OfflineRefinement, refine};
+use crate::tagging::offline_refinement::refine;
 
 /// Improve a capture's tags afterwards, from all frames together
 ///
@@ -26,10 +25,7 @@ use crate::tagging::offline_refinement::{OfflineRefinement, refine};
 /// recorded is not touched. Tells how good the tags
 /// are before and after: by --truth, and by views of every so many images made from the others.
 #[derive(Args)]
-#[command(after_long_help = concat!(
-    "Example:",
-    "\n  realitysim refine captures/2026-11-21T10-00-00Z-robot --write-calibration refined.toml",
-))]
+#[command(after_long_help = "Example:\n  realitysim refine captures/2026-11-21T10-00-00Z-robot --truth walk.mcap")]
 pub struct RefineArguments {
     /// A capture's folder
     capture: PathBuf,
@@ -42,9 +38,6 @@ pub struct RefineArguments {
     /// Images that are left out and made from the others, for judging; 0 for none
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = whole(0..=1000u16))]
     views: u16,
-    /// Write what was found of lens and mount as a robot config, its lens file beside it
-    #[arg(long, value_name = "TOML")]
-    write_calibration: Option<PathBuf>,
 }
 
 #[derive(Serialize)]
@@ -73,13 +66,7 @@ struct Judged {
 }
 
 pub fn run(arguments: &RefineArguments, json: bool) -> anyhow::Result<Outcome> {
-    let RefineArguments { capture, truth, truth_topic, views, write_calibration } = arguments;
-    if let Some(path) = write_calibration {
-        check_output(path, &[capture])?;
-        if path.extension().is_none_or(|ending| ending != "toml") {
-            return Err(UsageError(format!("{}: its name must end in .toml", path.display())).into());
-        }
-    }
+    let RefineArguments { capture, truth, truth_topic, views } = arguments;
     let truth = truth.as_deref().map(|log| read_truth(log, truth_topic)).transpose()?;
     let mut progress = output::Progress::new("looking");
     let refining = refine(capture, &Model::default(), &mut |done, all| progress.set(done, Some(all)))?;
@@ -100,9 +87,6 @@ pub fn run(arguments: &RefineArguments, json: bool) -> anyhow::Result<Outcome> {
     let before = judged(recorded.path(), &refining.tags, 0)?;
     let folder = refining.write(capture)?;
     let after = judged(capture, &refining.refined, 1)?;
-    if let Some(path) = write_calibration {
-        write_calibration_files(&refining, path)?;
-    }
     output::losses(&refining.losses);
     let report = Report { frames, tags: refining.tags.len(), before, after, constants, preferred, output: folder };
     if json {
@@ -160,91 +144,6 @@ fn view_psnr(capture: &Path, views: usize) -> anyhow::Result<Option<Summary>> {
     let database = ImageDatabase::open(&db, &settings)?;
     let found = leave_one_out(&database, views, &mut |_| ())?;
     Ok((!found.is_empty()).then(|| Summary::of(&found)))
-}
-
-fn write_calibration_files(refining: &OfflineRefinement, path: &Path) -> anyhow::Result<()> {
-    let lens_path = path.with_file_name(format!(
-        "{}-lens.toml",
-        path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
-    ));
-    write(&lens_path, &lens_file(&refining.lens))?;
-    write(path, &robot_file(refining, &lens_path))
-}
-
-fn lens_file(lens: &LensParameters) -> String {
-    let LensParameters { width, height, fx, fy, cx, cy, model, fov_deg } = lens;
-    let list = |values: &[f64]| values.iter().map(|value| format!("{value:?}")).collect::<Vec<_>>().join(", ");
-    let model = match model {
-        LensModel::KannalaBrandt { k } => format!("model = \"kannala_brandt\"\nk = [{}]\n", list(k)),
-        LensModel::Equisolid => "model = \"equisolid\"\n".to_owned(),
-        LensModel::PlumbBob { d } => format!("model = \"plumb_bob\"\nd = [{}]\n", list(d)),
-        LensModel::RationalPolynomial { d } => format!("model = \"rational_polynomial\"\nd = [{}]\n", list(d)),
-        LensModel::ThinPrism { d } => format!("model = \"thin_prism\"\nd = [{}]\n", list(d)),
-        LensModel::DoubleSphere { xi, alpha } => format!("model = \"double_sphere\"\nxi = {xi:?}\nalpha = {alpha:?}\n"),
-        LensModel::Eucm { alpha, beta } => format!("model = \"eucm\"\nalpha = {alpha:?}\nbeta = {beta:?}\n"),
-        LensModel::Scaramuzza { c, skew } => format!("model = \"scaramuzza\"\nc = [{}]\nskew = {skew:?}\n", list(c)),
-    };
-    let fov = fov_deg.map_or(String::new(), |fov| format!("fov_deg = {fov:?}\n"));
-    format!(
-        "# Found by `realitysim refine`\ntitle = \"Refined\"\nwidth = {width}\nheight = {height}\nfx = {fx:?}\nfy = {fy:?}\n\
-         cx = {cx:?}\ncy = {cy:?}\n{model}{fov}"
-    )
-}
-
-/// Comment in the robot file that explains whose tilt it is.
-const TILT_COMMENT: &str = "# The tilt is that of the camera against what the IMU calls level: one walk cannot tell a tilted mount from a tilted IMU,\n\
-                    # and a pose needs both together only. With another IMU, or one that was set level anew, it is to be found again.\n";
-
-fn robot_file(refining: &OfflineRefinement, lens: &Path) -> String {
-    let mount = &refining.info.settings.mount;
-    let constants = refining.smoothed.constants;
-    let mut text =
-        "# Found by `realitysim refine` from one walk. What the walk does not show stays as it was believed:\n"
-            .to_owned();
-    for found in refining.info().constants {
-        let says = if found.observable { "observed" } else { "not observable in this walk" };
-        text.push_str(&format!(
-            "#   {}: {:+.5} {} (sigma {:.5}, before {:.5}): {says}\n",
-            found.name, found.value, found.unit, found.known, found.believed
-        ));
-    }
-    text.push_str(TILT_COMMENT);
-    let name = lens.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    text.push_str(&format!("[camera]\nlens = {name:?}\n"));
-    // `record` makes the transforms from its config's mount. Any other capture has them from its log, whatever a config
-    // says.
-    match mount.torso_height_m.filter(|_| refining.info.live.is_some()) {
-        Some(height) => {
-            let [roll, pitch, yaw] = corrected(mount.camera_rpy_deg, &constants);
-            let [x, y, z] = mount.camera_xyz_m;
-            text.push_str(&format!(
-                "\n[mount]\ntorso_height_m = {:.4}\ncamera_xyz_m = [{x:?}, {y:?}, {z:?}]\ncamera_rpy_deg = [{roll:.4}, {pitch:.4}, {yaw:.4}]\n",
-                height + constants.height_m
-            ));
-        }
-        None => {
-            let [roll, pitch, yaw] = corrected([0.0; 3], &constants);
-            text.push_str(&format!(
-                "\n# The mount of this capture stands in the transforms of its log, which no config changes. Correct them where they are made:\n\
-                 # the camera is {:+.4} m higher than they say, and turned in its own frame (camera_link) by roll, pitch, yaw of\n\
-                 # [{roll:.4}, {pitch:.4}, {yaw:.4}] degrees.\n",
-                constants.height_m
-            ));
-        }
-    }
-    text
-}
-
-/// Roll, pitch and yaw of `camera_link`, degrees, corrected by the tilt that was found, which is about the camera's optical
-/// axes.
-fn corrected([roll, pitch, yaw]: [f64; 3], constants: &Constants) -> [f64; 3] {
-    let believed = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
-    let link_from_optical = Isometry::link_from_optical().rotation;
-    // The tilt turns the camera against up; the mount needs the inverse rotation.
-    let tilt = glam::DQuat::from_scaled_axis(glam::DVec3::new(constants.tilt_x, 0.0, constants.tilt_z)).conjugate();
-    let turned = believed.rotation() * link_from_optical * tilt * link_from_optical.conjugate();
-    let found = Euler::from_rotation(turned);
-    [found.roll, found.pitch, found.yaw].map(f64::to_degrees)
 }
 
 fn text_report(report: &Report) -> String {

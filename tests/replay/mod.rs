@@ -2,6 +2,7 @@
 
 mod broken;
 mod budget;
+mod calibrate;
 mod capture;
 mod chains;
 mod channels;

@@ -1,8 +1,8 @@
-//! Tags made better afterwards, from a capture to its refined tags, its calibration and its views.
+//! Tags made better afterwards, from a capture to its refined tags and its views.
 
 use std::fs;
 
-use realitysim::config::{Settings, load_lens};
+use realitysim::config::Settings;
 use realitysim::geometry::LensParameters;
 use realitysim::ros2::LogMessage;
 
@@ -17,9 +17,7 @@ fn refined_tags_are_nearer_to_the_truth_and_nothing_recorded_is_touched() {
         super::support::segments(&replayed.session).iter().map(|path| fs::read(path).expect("a segment")).collect()
     };
     let before = content();
-    let run = room
-        .run(&format!("refine {session} --truth log.mcap --views 6 --write-calibration robot.toml --json"))
-        .succeeds();
+    let run = room.run(&format!("refine {session} --truth log.mcap --views 6 --json")).succeeds();
     assert_eq!(content(), before);
     let report = run.json();
     let figure = |when: &str, what: &str, which: &str| report[when][what][which].as_f64().expect("judged");
@@ -32,26 +30,14 @@ fn refined_tags_are_nearer_to_the_truth_and_nothing_recorded_is_touched() {
     assert!(figure("after", "view_psnr_db", "median") >= 30.0, "{report:#}");
     assert_eq!(report["constants"].as_array().map(Vec::len), Some(8));
 
-    // A robot config that can be read, with a lens that can be read.
-    let settings = Settings::load(&room.path("robot.toml").display().to_string()).expect("a robot config");
-    assert!(settings.mount.camera_rpy_deg.iter().all(|angle| angle.abs() < 5.0));
-    let lens = load_lens(&room.path("robot-lens.toml").display().to_string()).expect("a lens file");
-    assert_eq!((lens.lens.width(), lens.lens.height()), (320, 240));
-    let words = fs::read_to_string(room.path("robot.toml")).expect("written");
-    assert!(words.contains("focal length") && words.contains("sigma"), "{words}");
-    // The mount of a log is in its transforms: what a config says of it would be of no use there, and wrong on the robot.
-    assert!(words.contains("turned in its own frame") && !words.contains("[mount]"), "{words}");
-    // Both can be moved together.
-    assert!(words.contains("lens = \"robot-lens.toml\""), "{words}");
-    assert_eq!(settings.camera.lens, Some(room.path("robot-lens.toml").display().to_string()));
-
     // Again: from the recorded tags, not from the refined ones.
     let again = room.run(&format!("refine {session} --truth log.mcap --views 0 --json")).succeeds().json();
     assert_eq!(again["before"]["position_cm"], report["before"]["position_cm"]);
     assert_eq!(again["after"]["position_cm"], report["after"]["position_cm"]);
     // The database takes the refined ones.
     room.run(&format!("db add {session} --db db")).succeeds();
-    let database = realitysim::database::ImageDatabase::open(&room.path("db"), &settings.views).expect("a database");
+    let database =
+        realitysim::database::ImageDatabase::open(&room.path("db"), &Settings::default().views).expect("a database");
     let info = fs::read(replayed.session.join("refined/refined.json")).expect("written");
     let info: serde_json::Value = serde_json::from_slice(&info).expect("JSON");
     let refined: LensParameters = serde_json::from_value(info["lens"].clone()).expect("a lens");
@@ -84,23 +70,6 @@ fn one_walk_shows_a_wrong_lens_and_a_wrong_mount() {
     assert!((found("focal length") + 0.006).abs() < 0.0015, "{report:#}");
     assert!((found("centre u") + 1.5).abs() < 0.3 && (found("centre v") - 1.5).abs() < 0.3, "{report:#}");
     assert!((found("height") + 0.015).abs() < 0.002, "{report:#}");
-
-    // On a robot the announced mount is the config's own, and the calibration corrects it.
-    let description = room.path(&session).join("session.json");
-    let mut info: serde_json::Value =
-        serde_json::from_slice(&fs::read(&description).expect("there")).expect("a description");
-    info["live"] = serde_json::json!({ "utc_offset_ns": 0, "camera_delay_ns": 0, "camera": null });
-    info["settings"]["mount"] = serde_json::json!({
-        "torso_height_m": 0.395, "camera_xyz_m": [0.04, 0.0, 0.11], "camera_rpy_deg": [0.5, 18.0, 0.0]
-    });
-    fs::write(&description, serde_json::to_vec(&info).expect("JSON")).expect("written");
-    room.run(&format!("refine {session} --views 0 --write-calibration robot.toml")).succeeds();
-    let mount = Settings::load(&room.path("robot.toml").display().to_string()).expect("a robot config").mount;
-    assert!((mount.torso_height_m.expect("written") - 0.38).abs() < 0.002, "{mount:?}");
-    assert_eq!(mount.camera_xyz_m, [0.04, 0.0, 0.11]);
-    // The mount's 17 degrees, and what levels an IMU that leans by half a degree in roll and pitch.
-    let [roll, pitch, _] = mount.camera_rpy_deg;
-    assert!((roll + 0.5).abs() < 0.2 && (pitch - 17.5).abs() < 0.2, "{mount:?}");
 }
 
 #[test]
@@ -147,8 +116,4 @@ fn what_cannot_be_refined_is_told() {
     room.run("refine log.mcap").fails(1, &["a capture's folder is needed"]);
     fs::create_dir(room.path("empty")).expect("a folder");
     room.run("refine empty").fails(1, &["session.json"]);
-    let session = session_name(&room.replay("log.mcap"));
-    room.run(&format!("refine {session} --write-calibration {session}/robot.toml"))
-        .fails(2, &["into which nothing else is written"]);
-    room.run(&format!("refine {session} --write-calibration robot.yaml")).fails(2, &[".toml"]);
 }

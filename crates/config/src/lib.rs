@@ -36,7 +36,7 @@ pub use fields::{
 };
 pub use lenses::{
     LensFile, LensFormat, LensWanted, VisualMeshPose, camera_calibration_yaml, lens_file, lens_from_camera_info,
-    lens_names, lens_seen_from, load_lens, load_lens_for_image, parse_lens,
+    lens_names, lens_seen_from, lens_text, load_lens, load_lens_for_image, parse_lens,
 };
 pub use settings::{
     BodyMaskFile, CameraSettings, CaptureSettings, FilterConfig, FrameNames, HeadSettings, MIN_BUDGET_MS, MotionSource,

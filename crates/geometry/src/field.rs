@@ -225,7 +225,51 @@ impl Field {
     }
 }
 
+/// How the painted lines move with the length and width of the field, as by [`FieldDimensions::of_size`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct SizeDerivative {
+    strokes: Vec<Stroke>,
+    /// The same strokes where the field is one metre longer, and wider.
+    larger: [Vec<Stroke>; 2],
+}
+
+impl SizeDerivative {
+    /// The derivative about the size that the field has.
+    pub fn new(field: &Field) -> Self {
+        let FieldDimensions { length_m, width_m, .. } = field.dimensions;
+        let larger = [[length_m + 1.0, width_m], [length_m, width_m + 1.0]];
+        let larger = larger.map(|size_m| layout(&field.dimensions.clone().of_size(size_m)));
+        Self { strokes: field.strokes.clone(), larger }
+    }
+
+    /// Displacement of a point of the nearest line for each metre of length, and of width.
+    pub fn at(&self, point: DVec2) -> [DVec2; 2] {
+        let distances = self.strokes.iter().map(|stroke| stroke.distance(point)).enumerate();
+        let nearest = distances.min_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(which, _)| which);
+        let moved = |larger: &Vec<Stroke>| {
+            nearest.map_or(DVec2::ZERO, |which| self.strokes[which].moved_to(&larger[which], point))
+        };
+        [moved(&self.larger[0]), moved(&self.larger[1])]
+    }
+}
+
 impl Stroke {
+    /// Displacement of a point of this stroke when the stroke becomes `other`, which is of the same kind.
+    fn moved_to(&self, other: &Self, point: DVec2) -> DVec2 {
+        match (*self, *other) {
+            (Stroke::Segment { from, to }, Stroke::Segment { from: new_from, to: new_to }) => {
+                let along = to - from;
+                let t = (point - from).dot(along) / along.length_squared();
+                (new_from - from).lerp(new_to - to, t)
+            }
+            (
+                Stroke::Circle { centre, .. } | Stroke::Quarter { centre, .. },
+                Stroke::Circle { centre: new_centre, .. } | Stroke::Quarter { centre: new_centre, .. },
+            ) => new_centre - centre,
+            _ => DVec2::ZERO,
+        }
+    }
+
     /// Length of the centre line, metres.
     pub fn length(&self) -> f64 {
         match *self {
@@ -478,6 +522,18 @@ mod tests {
                     assert!(field.distance_to_centre_line(mirrored) < 1e-12);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn lines_move_with_the_size_of_the_field_as_a_field_of_that_size_has_them() {
+        let field = Field::new(kid_size_2013()).expect("a field");
+        let derivative = SizeDerivative::new(&field);
+        let larger = Field::new(kid_size_2013().of_size([6.2, 4.1])).expect("a field");
+        for point in field.points(400) {
+            let [longer, wider] = derivative.at(point.position);
+            let moved = point.position + longer * 0.2 + wider * 0.1;
+            assert!(larger.distance_to_centre_line(moved) < 1e-9, "{point:?}");
         }
     }
 

@@ -63,6 +63,7 @@ pub mod setup;
 pub mod single_image;
 pub mod tagger;
 pub mod unknown_mount;
+pub mod walk_calibration;
 pub mod warm_start;
 pub mod warnings;
 

@@ -14,13 +14,14 @@ use thiserror::Error;
 use super::error::ReplayError;
 use super::open_input::{self, OpenLog};
 use super::perception_pool::decode_picture;
-use realitysim_geometry::{Isometry, Lens, LensError, LensParameters, Projector};
+use realitysim_geometry::field::SizeDerivative;
+use realitysim_geometry::{Field, FieldDimensions, FieldError, Isometry, Lens, LensError, LensParameters, Projector};
 use realitysim_localization::refinement::LinePoints;
 use realitysim_localization::refinement::line_measurement::{CameraModel, LineMeasurement, measure};
 use realitysim_localization::refinement::miscalibration::Miscalibration;
 use realitysim_localization::smoothing::alignment::{Look, matches};
 use realitysim_localization::smoothing::{
-    CONSTANTS, Constants, Frame, Model, NAMES, Overlap, Place, Smoothed, held_out_rms_px, smooth,
+    Constants, Frame, Model, NAMES, Overlap, Place, Smoothed, held_out_rms_px, smooth,
 };
 use realitysim_log_input::synchroniser::Frame as SensorFrame;
 use realitysim_recording::{
@@ -72,6 +73,9 @@ pub enum RefineError {
     /// The fitted constants make no possible lens.
     #[error("the lens: {0}")]
     Lens(#[from] LensError),
+    /// The fitted size is that of no field.
+    #[error("the field: {0}")]
+    Field(#[from] FieldError),
     /// A file of the result cannot be written.
     #[error("{}: {source}", path.display())]
     Io {
@@ -106,41 +110,9 @@ pub fn refine(
     model: &Model,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<OfflineRefinement, RefineError> {
-    if !capture.join(SESSION_FILE).is_file() {
-        return Err(RefineError::NotACapture(capture.to_owned()));
-    }
-    let info = read_info(capture)?;
-    let Readout { found: tags, mut losses, .. } = read_tags(capture)?;
+    let FittedWalk { info, tags, frames, smoothed, losses } = fit(capture, model, &REACH, progress)?;
+    let constants = smoothed.constants;
     let optical_from_link = Isometry::link_from_optical().inverse();
-    let valid = tags.iter().filter(|tag| tag.valid);
-    let mut poses: HashMap<i64, Isometry> = valid
-        .map(|tag| {
-            let map_from_link = Isometry::from(tag.pose.pose);
-            (tag.header.stamp.to_nanoseconds(), map_from_link * Isometry::link_from_optical())
-        })
-        .collect();
-    let tagged = poses.clone();
-    let mut constants = Constants::default();
-    let mut done: Option<(Vec<Frame>, Smoothed)> = None;
-    for (pass, reach) in REACH.iter().enumerate() {
-        let measured = measure_lines(capture, &info, &constants, &poses, *reach, &mut |frame, frames| {
-            progress(pass as u64 * frames + frame, PASSES as u64 * frames);
-        })?;
-        let (mut frames, more) = measured;
-        if pass == 0 {
-            losses.extend(more.into_iter().filter(|loss| !losses.contains(loss)).collect::<Vec<_>>());
-        }
-        // The second pass searches lines around refined poses, but the pose as tagged stays the recorded one.
-        frames.iter_mut().for_each(|frame| frame.map_from_optical = tagged[&frame.stamp_ns]);
-        if frames.iter().all(|frame| frame.places.is_empty()) {
-            return Err(RefineError::NoFrames(capture.to_owned()));
-        }
-        let smoothed = smooth(&frames, &info.lens, model)?;
-        poses = frames.iter().zip(&smoothed.map_from_optical).map(|(frame, pose)| (frame.stamp_ns, *pose)).collect();
-        constants = smoothed.constants;
-        done = Some((frames, smoothed));
-    }
-    let (frames, smoothed) = done.ok_or_else(|| RefineError::NoFrames(capture.to_owned()))?;
     let known: HashMap<i64, (Isometry, Matrix6<f64>)> = (frames.iter())
         .zip(smoothed.map_from_optical.iter().zip(&smoothed.covariances))
         .map(|(frame, (pose, covariance))| (frame.stamp_ns, (*pose * optical_from_link, *covariance)))
@@ -163,6 +135,60 @@ pub fn refine(
     })
 }
 
+/// A capture's frames with their lines, and the poses and constants that fit them best.
+pub(super) struct FittedWalk {
+    pub(super) info: SessionInfo,
+    pub(super) tags: Vec<FrameTag>,
+    pub(super) frames: Vec<Frame>,
+    pub(super) smoothed: Smoothed,
+    pub(super) losses: Vec<Loss>,
+}
+
+/// Fits a capture. Each pass searches lines around the poses of the pass before it, within standard deviations of position
+/// (metres) and rotation (radians).
+pub(super) fn fit(
+    capture: &Path,
+    model: &Model,
+    reaches: &[(f64, f64)],
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<FittedWalk, RefineError> {
+    if !capture.join(SESSION_FILE).is_file() {
+        return Err(RefineError::NotACapture(capture.to_owned()));
+    }
+    let info = read_info(capture)?;
+    let Readout { found: tags, mut losses, .. } = read_tags(capture)?;
+    let valid = tags.iter().filter(|tag| tag.valid);
+    let mut poses: HashMap<i64, Isometry> = valid
+        .map(|tag| {
+            let map_from_link = Isometry::from(tag.pose.pose);
+            (tag.header.stamp.to_nanoseconds(), map_from_link * Isometry::link_from_optical())
+        })
+        .collect();
+    let tagged = poses.clone();
+    let mut constants = Constants::default();
+    let mut done: Option<(Vec<Frame>, Smoothed)> = None;
+    for (pass, reach) in reaches.iter().enumerate() {
+        let measured = measure_lines(capture, &info, &constants, &poses, *reach, &mut |frame, frames| {
+            progress(pass as u64 * frames + frame, reaches.len() as u64 * frames);
+        })?;
+        let (mut frames, more) = measured;
+        if pass == 0 {
+            losses.extend(more.into_iter().filter(|loss| !losses.contains(loss)).collect::<Vec<_>>());
+        }
+        // Later passes search lines around refined poses, but the pose as tagged stays the recorded one.
+        frames.iter_mut().for_each(|frame| frame.map_from_optical = tagged[&frame.stamp_ns]);
+        if frames.iter().all(|frame| frame.places.is_empty()) {
+            return Err(RefineError::NoFrames(capture.to_owned()));
+        }
+        let smoothed = smooth(&frames, &info.lens, model)?;
+        poses = frames.iter().zip(&smoothed.map_from_optical).map(|(frame, pose)| (frame.stamp_ns, *pose)).collect();
+        constants = smoothed.constants;
+        done = Some((frames, smoothed));
+    }
+    let (frames, smoothed) = done.ok_or_else(|| RefineError::NoFrames(capture.to_owned()))?;
+    Ok(FittedWalk { info, tags, frames, smoothed, losses })
+}
+
 /// All frames with a valid tag, with the lines measured around `poses`, and the losses of the capture.
 ///
 /// `poses` are those of `camera_optical_frame` in `map` by stamp; the last pair are the standard deviations to search with.
@@ -177,7 +203,11 @@ fn measure_lines(
     let OpenLog { setup, mut messages, checkpoint, frames: count, lost, .. } =
         open_input::log(capture, &info.settings)?;
     let mut assembler = setup.assembler(checkpoint.map(|checkpoint| checkpoint.synchroniser), false);
-    let (points, projector) = (LinePoints::new(&setup.field), Projector::new(&Lens::new(found.lens(&info.lens))?));
+    let projector = Projector::new(&Lens::new(found.lens(&info.lens))?);
+    let FieldDimensions { length_m, width_m, .. } = *setup.field.dimensions();
+    let size_m = [length_m + found.field_m.x, width_m + found.field_m.y];
+    let field = Field::new(setup.field.dimensions().clone().of_size(size_m))?;
+    let (points, by_size) = (LinePoints::new(&field), SizeDerivative::new(&field));
     let off = Miscalibration { readout_s: found.readout_s, ..Miscalibration::NONE };
     let square = |sigma: f64| sigma * sigma;
     let [m, r] = [metres, radians].map(square);
@@ -199,7 +229,13 @@ fn measure_lines(
             let eye = CameraModel { projector: &projector, off: &off, twist: &twist };
             measure(&points, &seen.image, eye, pose, &covariance, &mut sights);
             let every = sights.len().div_ceil(MAX_PLACES).max(1);
-            places.extend(sights.iter().step_by(every).filter_map(|sight| Place::new(sight, &eye, pose)));
+            places.extend(sights.iter().step_by(every).filter_map(|sight| {
+                let [longer, wider] = by_size.at(sight.point.truncate()).map(|by| by.extend(0.0));
+                let place = Place::new(sight, &eye, pose, [longer, wider])?;
+                // The fit counts the field's size from what was believed.
+                let point = place.point - longer * found.field_m.x - wider * found.field_m.y;
+                Some(Place { point, ..place })
+            }));
             let here = Look { picture: &picture, map_from_optical: *pose };
             overlap = before.as_ref().map(|(before_ns, before_pose, before_picture)| {
                 let earlier = Look { picture: before_picture, map_from_optical: *before_pose };
@@ -254,12 +290,12 @@ impl OfflineRefinement {
         // one radian per second.
         let a_pixel = 1.0 / self.lens.fx;
         let systematic = [a_pixel, 1.0, 1.0, a_pixel, a_pixel, a_pixel, height_m * a_pixel, a_pixel];
-        let found = (0..CONSTANTS).map(|i| RefinedConstant {
+        let found = systematic.iter().enumerate().map(|(i, systematic)| RefinedConstant {
             name: NAMES[i].0.to_owned(),
             unit: NAMES[i].1.to_owned(),
             value: values[i],
             believed: believed[i],
-            known: libm::hypot(known[i], SYSTEMATIC_PX * systematic[i]),
+            known: libm::hypot(known[i], SYSTEMATIC_PX * systematic),
             observable: known[i] < OBSERVED * believed[i],
         });
         let frames = self.smoothed.map_from_optical.len();

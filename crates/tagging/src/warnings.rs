@@ -147,7 +147,7 @@ pub fn wrong_lens(off: &LensOff) -> Option<String> {
     is_off.then(|| {
         format!(
             "by the field's lines the lens is not quite as it was calibrated: focal length {:+.2} %, centre {:+.1}, {:+.1} px. \
-             Tags allow for it, views do not; `realitysim refine --write-calibration` measures it from a whole walk",
+             Tags allow for it, views do not; `realitysim calibrate --walk` measures it from a whole walk",
             stretch.0 * 100.0,
             centre_u_px.0,
             centre_v_px.0,

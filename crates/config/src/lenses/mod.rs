@@ -24,6 +24,7 @@ use super::source::{Shipped, Source};
 use super::{ConfigError, LensFileError};
 use realitysim_geometry::{Isometry, Lens, LensParameters};
 
+pub use own::lens_text;
 pub use ros::{camera_calibration_yaml, lens_from_camera_info};
 
 static FOLDER: Dir<'static> = include_dir!("$CARGO_MANIFEST_DIR/../../config/cameras");

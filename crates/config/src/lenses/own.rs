@@ -44,6 +44,26 @@ pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
     Ok(Content { title: file.title, format: LensFormat::Own, parameters, visual_mesh_pose: None })
 }
 
+/// The text of a lens file that [`read`] reads back to the same lens.
+pub fn lens_text(lens: &LensParameters, title: &str) -> String {
+    let LensParameters { width, height, fx, fy, cx, cy, model, fov_deg } = lens;
+    let list = |values: &[f64]| values.iter().map(|value| format!("{value:?}")).collect::<Vec<_>>().join(", ");
+    let model = match model {
+        LensModel::KannalaBrandt { k } => format!("model = \"kannala_brandt\"\nk = [{}]\n", list(k)),
+        LensModel::Equisolid => "model = \"equisolid\"\n".to_owned(),
+        LensModel::PlumbBob { d } => format!("model = \"plumb_bob\"\nd = [{}]\n", list(d)),
+        LensModel::RationalPolynomial { d } => format!("model = \"rational_polynomial\"\nd = [{}]\n", list(d)),
+        LensModel::ThinPrism { d } => format!("model = \"thin_prism\"\nd = [{}]\n", list(d)),
+        LensModel::DoubleSphere { xi, alpha } => format!("model = \"double_sphere\"\nxi = {xi:?}\nalpha = {alpha:?}\n"),
+        LensModel::Eucm { alpha, beta } => format!("model = \"eucm\"\nalpha = {alpha:?}\nbeta = {beta:?}\n"),
+        LensModel::Scaramuzza { c, skew } => format!("model = \"scaramuzza\"\nc = [{}]\nskew = {skew:?}\n", list(c)),
+    };
+    let fov = fov_deg.map_or(String::new(), |fov| format!("fov_deg = {fov:?}\n"));
+    format!(
+        "title = {title:?}\nwidth = {width}\nheight = {height}\nfx = {fx:?}\nfy = {fy:?}\ncx = {cx:?}\ncy = {cy:?}\n{model}{fov}"
+    )
+}
+
 /// The coefficients that a model takes; the others are a mistake in the file.
 fn model(file: &File) -> Result<LensModel, LensFileError> {
     let name = file.model.as_str();

@@ -2,26 +2,30 @@
 //!
 //! The unknowns of a frame are the six of its pose's error, as in [`crate::refinement`], and how its camera moves during the
 //! readout beyond what feet, neck and gyro tell. The unknowns of the walk are focal length, centre and curve of the lens, tilt
-//! of the mount, height of the camera and readout time of the sensor ([`Constants`]). Lines tell where a ray lies, IMU and
+//! of the mount, height of the camera, times of the sensor, scale of odometry and size of the field ([`Constants`]); a model holds
+//! those that it gives no standard deviation. Lines tell where a ray lies, IMU and
 //! mount how the camera leans, odometry how far two frames are apart, and the ground's texture how neighbouring frames lie to
 //! each other ([`alignment`]). The fit is Gauss-Newton. Its system is block tridiagonal with a border ([`chain`]), so that one
 //! pass forwards and one back solve it, as in a smoother. The module is pure.
 
 pub mod alignment;
 pub mod chain;
+mod model;
 mod moving_camera;
+pub mod projection;
 mod residuals;
 mod same_ground;
 
 use glam::{DVec2, DVec3};
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, SMatrix};
 
 use crate::refinement::line_measurement::{CameraModel, LineMeasurement};
-use chain::{Border, Chain, Solution};
+use chain::{Chain, Solution};
 use moving_camera::MovingCamera;
 use realitysim_geometry::{Isometry, LensError, LensModel, LensParameters, Pose2, Twist};
 
-pub use residuals::Model;
+pub use model::Model;
+pub use residuals::{PlaceResidual, place_residuals};
 
 /// One frame of the walk with its measurements.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,6 +77,8 @@ pub struct Place {
     pub point: DVec3,
     /// Unit vector along the line, in `map`.
     pub tangent: DVec3,
+    /// Displacement of the point, in `map`, for each metre by which the field is longer, and wider.
+    pub by_size: [DVec3; 2],
     /// Standard deviation relative to that of a clear line of the best width.
     pub sigmas: f64,
     /// Scale of the image across the line.
@@ -80,7 +86,7 @@ pub struct Place {
 }
 
 /// Number of unknowns of the whole walk.
-pub const CONSTANTS: usize = 8;
+pub const CONSTANTS: usize = 15;
 
 /// Corrections that are the same in every frame, relative to what was believed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -89,8 +95,8 @@ pub struct Constants {
     pub focal_share: f64,
     /// Shift of the lens's centre, pixels.
     pub centre: DVec2,
-    /// Correction of k1 of a Kannala-Brandt lens; 0 for other lenses.
-    pub k1: f64,
+    /// Corrections of k1 to k4 of a Kannala-Brandt lens; 0 for other lenses.
+    pub k: [f64; 4],
     /// Rotation of the camera about its own x axis (right) beyond what the mount says, radians.
     pub tilt_x: f64,
     /// Rotation of the camera about its own z axis (forward) beyond what the mount says, radians.
@@ -99,6 +105,12 @@ pub struct Constants {
     pub height_m: f64,
     /// Time from the exposure of the first row to that of the last, seconds.
     pub readout_s: f64,
+    /// Time by which stamps of images are later than their exposure, by the clock of the IMU, seconds.
+    pub delay_s: f64,
+    /// Relative error of the distances by odometry: positive if the robot goes farther than it says.
+    pub odometry_share: f64,
+    /// Length and width of the field beyond what was believed, metres.
+    pub field_m: DVec2,
 }
 
 /// Names and units of [`Constants::values`], for people to read.
@@ -111,7 +123,17 @@ pub const NAMES: [(&str, &str); CONSTANTS] = [
     ("tilt about the camera's z", "rad"),
     ("height", "m"),
     ("readout of the sensor", "s"),
+    ("k2", "1"),
+    ("k3", "1"),
+    ("k4", "1"),
+    ("delay of the camera", "s"),
+    ("odometry's distance", "share"),
+    ("field length", "m"),
+    ("field width", "m"),
 ];
+
+/// Covariance of the constants, in the order of [`Constants::values`].
+pub type ConstantsCovariance = SMatrix<f64, CONSTANTS, CONSTANTS>;
 
 /// The result of smoothing a walk.
 #[derive(Clone, Debug, PartialEq)]
@@ -126,6 +148,8 @@ pub struct Smoothed {
     pub believed: [f64; CONSTANTS],
     /// Standard deviations of the constants after the fit.
     pub known: [f64; CONSTANTS],
+    /// Covariance of the constants after the fit.
+    pub covariance: ConstantsCovariance,
     /// Root mean square deviation of the line places that fit, pixels: before and after.
     pub rms_px: [f64; 2],
     /// Number of Gauss-Newton iterations.
@@ -142,19 +166,28 @@ const MIN_SIGMA_RMS: f64 = 2.6;
 impl Constants {
     /// The constants in the order of [`NAMES`].
     pub fn values(&self) -> [f64; CONSTANTS] {
-        let Self { focal_share, centre, k1, tilt_x, tilt_z, height_m, readout_s } = *self;
-        [focal_share, centre.x, centre.y, k1, tilt_x, tilt_z, height_m, readout_s]
+        let Self { focal_share, centre, k, tilt_x, tilt_z, height_m, readout_s, delay_s, odometry_share, field_m } =
+            *self;
+        let [k1, k2, k3, k4] = k;
+        let of_refinement = [focal_share, centre.x, centre.y, k1, tilt_x, tilt_z, height_m, readout_s];
+        let further = [k2, k3, k4, delay_s, odometry_share, field_m.x, field_m.y];
+        core::array::from_fn(|i| if i < 8 { of_refinement[i] } else { further[i - 8] })
     }
 
-    fn plus(&self, step: &Border) -> Self {
+    /// The constants with a step of each, in the order of [`NAMES`], added.
+    #[must_use]
+    pub fn plus(&self, step: &[f64; CONSTANTS]) -> Self {
         Self {
             focal_share: self.focal_share + step[0],
             centre: self.centre + DVec2::new(step[1], step[2]),
-            k1: self.k1 + step[3],
+            k: [self.k[0] + step[3], self.k[1] + step[8], self.k[2] + step[9], self.k[3] + step[10]],
             tilt_x: self.tilt_x + step[4],
             tilt_z: self.tilt_z + step[5],
             height_m: self.height_m + step[6],
             readout_s: self.readout_s + step[7],
+            delay_s: self.delay_s + step[11],
+            odometry_share: self.odometry_share + step[12],
+            field_m: self.field_m + DVec2::new(step[13], step[14]),
         }
     }
 
@@ -162,8 +195,8 @@ impl Constants {
     pub fn lens(&self, believed: &LensParameters) -> LensParameters {
         let longer = 1.0 + self.focal_share;
         let model = match believed.model {
-            LensModel::KannalaBrandt { k: [k1, k2, k3, k4] } => {
-                LensModel::KannalaBrandt { k: [k1 + self.k1, k2, k3, k4] }
+            LensModel::KannalaBrandt { k } => {
+                LensModel::KannalaBrandt { k: core::array::from_fn(|i| k[i] + self.k[i]) }
             }
             other => other,
         };
@@ -180,11 +213,25 @@ impl Constants {
 
 impl Place {
     /// The place that was measured by this camera at this pose; `None` where its lens draws nothing.
-    pub fn new(measurement: &LineMeasurement, camera_model: &CameraModel, map_from_optical: &Isometry) -> Option<Self> {
+    ///
+    /// `by_size` is the displacement of its point with the size of the field.
+    pub fn new(
+        measurement: &LineMeasurement,
+        camera_model: &CameraModel,
+        map_from_optical: &Isometry,
+        by_size: [DVec3; 2],
+    ) -> Option<Self> {
         let LineMeasurement { ray, point, tangent, sigmas, pixels_per_rad, row, .. } = *measurement;
         let place = ray * point.distance(map_from_optical.translation);
         let drawn = place + camera_model.moved_until_read(place, row);
-        Some(Self { pixel: camera_model.projector.lens().project(drawn)?, point, tangent, sigmas, pixels_per_rad })
+        Some(Self {
+            pixel: camera_model.projector.lens().project(drawn)?,
+            point,
+            tangent,
+            by_size,
+            sigmas,
+            pixels_per_rad,
+        })
     }
 }
 
@@ -204,12 +251,17 @@ pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Res
         walk.descend(frames, believed, &model)?;
     }
     let Walk { moving, constants, linearised, rounds } = walk;
-    let (covariances, known) = match linearised.chain.solve() {
+    let (covariances, known, covariance) = match linearised.chain.solve() {
         Some(solution) => {
             let of_pose = solution.covariances.iter().map(|all| all.fixed_view::<6, 6>(0, 0).into());
-            (of_pose.collect(), solution.border_sigmas())
+            let sigmas = solution.border_sigmas();
+            let known = core::array::from_fn(|i| if model.constants[i] > 0.0 { sigmas[i] } else { 0.0 });
+            (of_pose.collect(), known, solution.border_covariance)
         }
-        None => (vec![Matrix6::identity(); frames.len()], model.constants),
+        None => {
+            let believed = ConstantsCovariance::from_diagonal(&model.constants.map(|sigma| sigma * sigma).into());
+            (vec![Matrix6::identity(); frames.len()], model.constants, believed)
+        }
     };
     Ok(Smoothed {
         map_from_optical: moving.iter().map(|moving| moving.pose).collect(),
@@ -217,6 +269,7 @@ pub fn smooth(frames: &[Frame], believed: &LensParameters, model: &Model) -> Res
         constants,
         believed: model.constants,
         known,
+        covariance,
         rms_px: [first_rms_px, linearised.rms_px],
         rounds,
     })
@@ -295,7 +348,7 @@ fn stepped(
     share: f64,
 ) -> (Vec<MovingCamera>, Constants) {
     let moved = moving.iter().zip(&solution.steps).map(|(moving, step)| moving.moved(&(step * share)));
-    (moved.collect(), constants.plus(&(solution.border * share)))
+    (moved.collect(), constants.plus(&(solution.border * share).into()))
 }
 
 /// The normal equations and the cost of a walk about one state.

@@ -3,62 +3,12 @@
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::chain::{Border, Chain, FRAME_UNKNOWNS, FrameVector};
+use super::model::{HELD, Model};
 use super::moving_camera::MovingCamera;
-use super::{CONSTANTS, Constants, Frame, Linearised, Place, same_ground};
+use super::{CONSTANTS, Constants, Frame, Linearised, Place, Smoothed, same_ground};
 use crate::refinement::error_between;
 use crate::refinement::miscalibration::{UNSEEN_M_PER_S, row, unmeasured_rad_per_s};
 use realitysim_geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist, wrap_angle};
-
-/// Standard deviations of everything that is fitted.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Model {
-    /// A line place of the best width, including the error that neighbours share, pixels. Widened if lines lie off by more.
-    pub line_px: f64,
-    /// One patch of ground in two neighbouring images, including what all patches of a pair have in common, pixels.
-    pub match_px: f64,
-    /// Position of a tag, metres. It is loose: what nothing else determines stays where it was.
-    pub tag_m: f64,
-    /// Orientation of a tag, radians.
-    pub tag_rad: f64,
-    /// Tilt of one frame by IMU and mount beyond the constants, radians.
-    pub tilt_rad: f64,
-    /// Height of one frame beyond the constants, metres.
-    pub height_m: f64,
-    /// Sway of the camera over the feet between two frames, metres.
-    pub sway_m: f64,
-    /// Step between frames by odometry, as a share of the distance.
-    pub step_share: f64,
-    /// Rotation between frames by odometry, as a share of the rotation.
-    pub turn_share: f64,
-    /// Rotation between frames by gyro, as a share of the rotation.
-    pub gyro_share: f64,
-    /// Drift of the distance between frames.
-    pub drift_m_per_s: f64,
-    /// Drift of the rotation between frames.
-    pub drift_rad_per_s: f64,
-    /// The constants, in the order of [`Constants::values`].
-    pub constants: [f64; CONSTANTS],
-}
-
-impl Default for Model {
-    fn default() -> Self {
-        Self {
-            line_px: 0.16,
-            match_px: 0.4,
-            tag_m: 0.1,
-            tag_rad: 0.04,
-            tilt_rad: 0.4f64.to_radians(),
-            height_m: 0.006,
-            sway_m: 0.02,
-            step_share: 0.15,
-            turn_share: 0.15,
-            gyro_share: 0.02,
-            drift_m_per_s: 0.01,
-            drift_rad_per_s: 0.02,
-            constants: [0.01, 3.0, 3.0, 0.01, 0.012, 0.012, 0.015, 0.015],
-        }
-    }
-}
 
 /// Scale of the robust loss (Geman-McClure), in standard deviations.
 pub(super) const ROBUST: f64 = 4.0;
@@ -74,8 +24,16 @@ pub(super) const DIFFERENCE_STEP: f64 = 1e-6;
 /// for precision.
 const FOCAL_STEP: (usize, f64) = (0, 1e-5);
 const CENTRE_STEPS: [(usize, f64); 2] = [(1, 1e-3), (2, 1e-3)];
-const K1_STEP: (usize, f64) = (3, 1e-5);
+const K_STEPS: [(usize, f64); 4] = [(3, 1e-5), (8, 1e-5), (9, 1e-5), (10, 1e-5)];
 const READOUT_STEP: (usize, f64) = (7, 1e-5);
+/// Indices in [`Constants::values`] of what has derivatives in closed form.
+const TILT_X: usize = 4;
+const TILT_Z: usize = 5;
+const HEIGHT: usize = 6;
+const DELAY: usize = 11;
+const ODOMETRY: usize = 12;
+const LENGTH: usize = 13;
+const WIDTH: usize = 14;
 
 /// Builds the normal equations and the cost about this state.
 pub(super) fn linearise(
@@ -85,7 +43,7 @@ pub(super) fn linearise(
     believed: &LensParameters,
     model: &Model,
 ) -> Result<Linearised, LensError> {
-    let cameras = Cameras::new(constants, believed)?;
+    let cameras = Cameras::new(constants, believed, model)?;
     let mut chain = Chain::new(frames.len());
     let (mut cost, mut squares, mut fitting) = (0.0, 0.0, 0usize);
     let (mut robust_squares, mut all) = (0.0, 0usize);
@@ -109,11 +67,12 @@ pub(super) fn linearise(
         cost += add_tag(&mut chain, i, frame, here, constants, model);
         cost += add_tilt(&mut chain, i, frame, &here.pose, constants, model);
         if let (Some(next), Some(there)) = (frames.get(i + 1), moving.get(i + 1)) {
-            cost += add_step(&mut chain, i, [frame, next], [here, there], model);
+            cost += add_step(&mut chain, i, [frame, next], [here, there], constants, model);
             cost += same_ground::add(&mut chain, i, [frame, next], [here, there], &cameras, model);
         }
     }
     for (i, (value, sigma)) in constants.values().iter().zip(model.constants).enumerate() {
+        let sigma = sigma.max(HELD);
         let mut row = Border::zeros();
         row[i] = 1.0 / sigma;
         chain.add_common(value / sigma, &row);
@@ -128,6 +87,8 @@ pub(super) fn linearise(
 pub(super) struct Cameras {
     pub(super) camera: Camera,
     pub(super) changed: Vec<Changed>,
+    /// Length and width of the field beyond what was believed, metres.
+    field_m: DVec2,
 }
 
 /// A camera with a change in one constant.
@@ -148,26 +109,48 @@ pub(super) struct Camera {
 /// The residual of a line place, the angle between the line's plane and the ray on which it was seen, with its derivatives.
 struct Line {
     off_rad: f64,
+    /// Unit normal of the line's plane, in `map`.
+    normal: DVec3,
     by_frame: FrameVector,
     by_camera: Border,
 }
 
 impl Cameras {
-    fn new(constants: &Constants, believed: &LensParameters) -> Result<Self, LensError> {
-        let has_k1 = matches!(believed.model, LensModel::KannalaBrandt { .. });
-        let steps = [FOCAL_STEP].into_iter().chain(CENTRE_STEPS).chain(has_k1.then_some(K1_STEP)).chain([READOUT_STEP]);
-        let changed = steps.map(|(constant, step)| {
-            let mut border = Border::zeros();
+    fn new(constants: &Constants, believed: &LensParameters, model: &Model) -> Result<Self, LensError> {
+        let of_lens: &[(usize, f64)] =
+            if matches!(believed.model, LensModel::KannalaBrandt { .. }) { &K_STEPS } else { &[] };
+        let steps = [FOCAL_STEP].into_iter().chain(CENTRE_STEPS).chain(of_lens.iter().copied()).chain([READOUT_STEP]);
+        let free = steps.filter(|(constant, _)| model.constants[*constant] > 0.0);
+        let changed = free.map(|(constant, step)| {
+            let mut border = [0.0; CONSTANTS];
             border[constant] = step;
             Ok(Changed { constant, step, camera: Camera::new(&constants.plus(&border), believed)? })
         });
-        Ok(Self { camera: Camera::new(constants, believed)?, changed: changed.collect::<Result<_, LensError>>()? })
+        let changed = changed.collect::<Result<_, LensError>>()?;
+        Ok(Self { camera: Camera::new(constants, believed)?, changed, field_m: constants.field_m })
+    }
+
+    /// The residual of a line place in the image; `None` where the lens draws nothing.
+    fn residual(&self, place: &Place, moving: &MovingCamera) -> Option<PlaceResidual> {
+        let line = self.line(place, moving)?;
+        let pose = self.camera.pose_at(place.pixel, moving);
+        let drawn = |off_rad: f64| {
+            let along = self.camera.lens.unproject(place.pixel)?;
+            let normal = pose.rotation.conjugate() * line.normal;
+            self.camera.lens.project(along - normal * off_rad)
+        };
+        // A step of a milliradian: where a line fits exactly, its direction in the image is asked for too.
+        let across = (place.pixel - drawn(1e-3)?).normalize_or_zero();
+        let off_px = (place.pixel - drawn(line.off_rad)?).dot(across);
+        Some(PlaceResidual { pixel: place.pixel, across, off_px, sigmas: place.sigmas })
     }
 
     /// The residual of a line place; `None` where the lens draws nothing or the camera lies on the line.
     fn line(&self, place: &Place, moving: &MovingCamera) -> Option<Line> {
         let seen = self.camera.ray(place.pixel, moving)?;
-        let across = (place.point - seen.from).cross(place.tangent);
+        let [longer, wider] = place.by_size;
+        let point = place.point + longer * self.field_m.x + wider * self.field_m.y;
+        let across = (point - seen.from).cross(place.tangent);
         let length = across.length();
         if length < 1e-6 {
             return None;
@@ -181,10 +164,11 @@ impl Cameras {
             let other = camera.ray(place.pixel, moving)?;
             by_camera[*constant] = ((other.along - seen.along).dot(normal) + moved.dot(other.from - seen.from)) / step;
         }
+        (by_camera[LENGTH], by_camera[WIDTH]) = (-moved.dot(longer), -moved.dot(wider));
         let row = row(&self.camera.lens, place.pixel);
         let [extra_motion, rounder] = [moved, turned].map(|by| moving.pose.rotation.conjugate() * by * row);
         let by_frame = gradient([moved, turned, extra_motion, rounder]);
-        Some(Line { off_rad, by_frame, by_camera })
+        Some(Line { off_rad, normal, by_frame, by_camera })
     }
 }
 
@@ -211,6 +195,40 @@ impl Camera {
         let pose = self.pose_at(pixel, moving);
         Some(Ray { from: pose.translation, along: pose.transform_vector(self.lens.unproject(pixel)?) })
     }
+}
+
+/// How far a line place was found from where the fit has it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaceResidual {
+    /// Pixel at which the line was found.
+    pub pixel: DVec2,
+    /// Unit vector across the line in the image.
+    pub across: DVec2,
+    /// Distance along that vector from where the fit draws the line to where it was found, pixels.
+    pub off_px: f64,
+    /// Standard deviation relative to that of a clear line of the best width.
+    pub sigmas: f64,
+}
+
+/// The residuals of all line places that fit, by frame.
+///
+/// # Errors
+///
+/// A [`LensError`] if the lens is not valid.
+pub fn place_residuals(
+    frames: &[Frame],
+    smoothed: &Smoothed,
+    believed: &LensParameters,
+    model: &Model,
+) -> Result<Vec<Vec<PlaceResidual>>, LensError> {
+    let cameras = Cameras::new(&smoothed.constants, believed, model)?;
+    let largest_px = ROBUST * model.line_px.max(smoothed.rms_px[1]);
+    let of_frame = |(frame, pose): (&Frame, &Isometry)| {
+        let moving = MovingCamera::of(frame).at_pose(*pose);
+        let of_place = |place: &Place| cameras.residual(place, &moving).filter(|it| it.off_px.abs() < largest_px);
+        frame.places.iter().filter_map(of_place).collect()
+    };
+    Ok(frames.iter().zip(&smoothed.map_from_optical).map(of_frame).collect())
 }
 
 /// Adds the prior of a frame: its tag, and the motion during the readout that feet, neck and gyro tell. Returns its cost.
@@ -253,31 +271,44 @@ fn add_tilt(chain: &mut Chain, i: usize, frame: &Frame, pose: &Isometry, constan
     let Some(place) = &frame.footprint_from_optical else { return 0.0 };
     let tilt = DQuat::from_scaled_axis(DVec3::new(constants.tilt_x, 0.0, constants.tilt_z));
     // This is the vertical as the mount has it, turned into the camera as it is really mounted.
-    let believed = place.rotation.conjugate() * DVec3::Z;
+    let at_stamp = place.rotation.conjugate() * DVec3::Z;
+    // The image was exposed before its stamp; only a gyro tells how the camera leaned in between.
+    let turning = if frame.turn_is_measured { frame.twist.angular.cross(at_stamp) } else { DVec3::ZERO };
+    let believed = at_stamp + turning * constants.delay_s;
     let turn = DMat3::from_quat(pose.rotation * tilt);
     let up = turn * believed;
     let by_tilt = |axis: DVec3| turn * axis.cross(believed);
-    let (by_x, by_z) = (by_tilt(DVec3::X), by_tilt(DVec3::Z));
+    let (by_x, by_z, by_delay) = (by_tilt(DVec3::X), by_tilt(DVec3::Z), turn * turning);
     let mut cost = 0.0;
-    for (off, by_turn, by_tilts) in
-        [(up.x, DVec3::new(0.0, up.z, -up.y), [by_x.x, by_z.x]), (up.y, DVec3::new(-up.z, 0.0, up.x), [by_x.y, by_z.y])]
-    {
+    for (off, by_turn, by_constants) in [
+        (up.x, DVec3::new(0.0, up.z, -up.y), [by_x.x, by_z.x, by_delay.x]),
+        (up.y, DVec3::new(-up.z, 0.0, up.x), [by_x.y, by_z.y, by_delay.y]),
+    ] {
         let row = gradient([DVec3::ZERO, by_turn / model.tilt_rad, DVec3::ZERO, DVec3::ZERO]);
         let mut border = Border::zeros();
-        (border[4], border[5]) = (by_tilts[0] / model.tilt_rad, by_tilts[1] / model.tilt_rad);
+        for (constant, by) in [TILT_X, TILT_Z, DELAY].into_iter().zip(by_constants) {
+            border[constant] = by / model.tilt_rad;
+        }
         chain.add(i, off / model.tilt_rad, &row, &border);
         cost += 0.5 * (off / model.tilt_rad) * (off / model.tilt_rad);
     }
     let off = (pose.translation.z - place.translation.z - constants.height_m) / model.height_m;
     let row = gradient([DVec3::Z / model.height_m, DVec3::ZERO, DVec3::ZERO, DVec3::ZERO]);
     let mut border = Border::zeros();
-    border[6] = -1.0 / model.height_m;
+    border[HEIGHT] = -1.0 / model.height_m;
     chain.add(i, off, &row, &border);
     cost + 0.5 * off * off
 }
 
 /// Adds the step of the feet between two frames, compared with odometry and gyro. Returns its cost.
-fn add_step(chain: &mut Chain, i: usize, frames: [&Frame; 2], moving: [&MovingCamera; 2], model: &Model) -> f64 {
+fn add_step(
+    chain: &mut Chain,
+    i: usize,
+    frames: [&Frame; 2],
+    moving: [&MovingCamera; 2],
+    constants: &Constants,
+    model: &Model,
+) -> f64 {
     let [from, to] = frames;
     let elapsed_ns = to.stamp_ns - from.stamp_ns;
     let odometry = from.odometry.zip(to.odometry);
@@ -295,7 +326,8 @@ fn add_step(chain: &mut Chain, i: usize, frames: [&Frame; 2], moving: [&MovingCa
     let feet = |pose: &Isometry, place: &Isometry| Pose2::from_isometry(&(*pose * place.inverse()));
     let off = |a: &Isometry, b: &Isometry| {
         let step = feet(a, place_from).inverse().compose(&feet(b, place_to));
-        [step.x - said.x, step.y - said.y, wrap_angle(step.yaw - turned)]
+        let longer = 1.0 + constants.odometry_share;
+        [step.x - said.x * longer, step.y - said.y * longer, wrap_angle(step.yaw - turned)]
     };
     let here = off(&moving[0].pose, &moving[1].pose);
     let distance = libm::hypot(said.x, said.y);
@@ -316,12 +348,14 @@ fn add_step(chain: &mut Chain, i: usize, frames: [&Frame; 2], moving: [&MovingCa
         }
     }
     let mut cost = 0.0;
-    for (row, (off, sigma)) in rows.iter().zip(here.iter().zip(sigmas)) {
+    for ((row, by_odometry), (off, sigma)) in rows.iter().zip([-said.x, -said.y, 0.0]).zip(here.iter().zip(sigmas)) {
         let off = off / sigma;
+        let mut border = Border::zeros();
+        border[ODOMETRY] = by_odometry / sigma;
         // Feet slip: the robust loss bounds what is far off.
         let square = off * off / (ROBUST * ROBUST);
         let weight = 1.0 / (1.0 + square);
-        chain.add_between(i, weight * off, &(row[0] * weight), &(row[1] * weight), &Border::zeros());
+        chain.add_between(i, weight * off, &(row[0] * weight), &(row[1] * weight), &(border * weight));
         cost += 0.5 * off * off / (1.0 + square);
     }
     cost

@@ -3,8 +3,9 @@
 use glam::{DVec2, DVec3};
 
 use super::chain::{Border, Chain, FRAME_UNKNOWNS, FrameVector};
+use super::model::Model;
 use super::moving_camera::MovingCamera;
-use super::residuals::{Camera, Cameras, Changed, DIFFERENCE_STEP, Model, ROBUST};
+use super::residuals::{Camera, Cameras, Changed, DIFFERENCE_STEP, ROBUST};
 use super::{Frame, Match};
 
 /// Adds the matches of the frames `i` and `i + 1` and returns their cost.

@@ -72,7 +72,14 @@ fn swaying_walk(truth: &Constants, noise_px: f64, unseen_m_per_s: DVec3) -> (Vec
                     let number = frames.len() * 1000 + places.len();
                     let pixel = pixel + DVec2::new(noise(number), noise(number + 77_777)) * noise_px;
                     let pixels_per_rad = real.focal();
-                    places.push(Place { pixel, point, tangent: *tangent, sigmas: 1.0, pixels_per_rad });
+                    places.push(Place {
+                        pixel,
+                        point,
+                        tangent: *tangent,
+                        by_size: [DVec3::ZERO; 2],
+                        sigmas: 1.0,
+                        pixels_per_rad,
+                    });
                 }
             }
         }
@@ -121,11 +128,12 @@ fn a_walk_without_noise_is_found_exactly_with_its_constants() {
     let truth = Constants {
         focal_share: 0.004,
         centre: DVec2::new(1.0, -0.8),
-        k1: 0.002,
+        k: [0.002, 0.0, 0.0, 0.0],
         tilt_x: 0.008,
         tilt_z: -0.006,
         height_m: 0.01,
         readout_s: 0.016,
+        ..Constants::default()
     };
     let (truths, frames) = walk(&truth, 0.0);
     // Nothing but the lines is to count.
@@ -137,7 +145,7 @@ fn a_walk_without_noise_is_found_exactly_with_its_constants() {
     off(found.constants.focal_share, truth.focal_share, 1e-4);
     off(found.constants.centre.x, truth.centre.x, 0.05);
     off(found.constants.centre.y, truth.centre.y, 0.05);
-    off(found.constants.k1, truth.k1, 3e-4);
+    off(found.constants.k[0], truth.k[0], 3e-4);
     off(found.constants.tilt_x, truth.tilt_x, 5e-4);
     off(found.constants.tilt_z, truth.tilt_z, 5e-4);
     off(found.constants.height_m, truth.height_m, 5e-4);
@@ -291,4 +299,39 @@ fn an_overlap_with_a_frame_that_is_not_there_says_nothing() {
     with_overlaps(&truths, &mut frames, 0.3);
     frames.iter_mut().filter_map(|frame| frame.overlap.as_mut()).for_each(|overlap| overlap.before_ns += 1);
     assert_eq!(smooth(&frames, &lens(), &Model::default()).expect("a lens"), without);
+}
+
+/// The lines at `x` and `y` of +-1.5 and +-1 m stand for goal lines and touchlines that were measured wrongly.
+#[test]
+fn a_walk_tells_the_size_of_the_field_the_scale_of_odometry_and_the_delay() {
+    let truth = Constants { focal_share: 0.03, k: [0.004, 0.002, 0.0, 0.0], height_m: 0.02, ..Constants::default() };
+    let (size, share, delay_s) = (DVec2::new(0.06, -0.04), 0.08, 0.012);
+    let (truths, mut frames) = walk(&truth, 0.0);
+    let before: Vec<Frame> = frames.clone();
+    for (frame, original) in frames.iter_mut().zip(&before) {
+        for place in &mut frame.places {
+            let far = |value: f64| if value.abs() > 1.2 { value.signum() / 2.0 } else { 0.0 };
+            place.by_size = [DVec3::X * far(place.point.x), DVec3::Y * far(place.point.y)];
+            place.point -= place.by_size[0] * size.x + place.by_size[1] * size.y;
+        }
+        // Odometry says too little by the share.
+        frame.odometry = original.odometry.map(|odometry| {
+            let start = before[0].odometry.expect("there");
+            let way = start.inverse().compose(&odometry);
+            start.compose(&Pose2::new(way.x / (1.0 + share), way.y / (1.0 + share), way.yaw))
+        });
+        // The attitude is that of the stamp, and the image was exposed before it.
+        let turn = glam::DQuat::from_scaled_axis(frame.twist.angular * delay_s);
+        frame.footprint_from_optical =
+            frame.footprint_from_optical.map(|place| Isometry::new(place.rotation * turn, place.translation));
+    }
+    let model = Model { line_px: 0.001, tilt_rad: 1e-4, sway_m: 1e-4, step_share: 1e-3, ..Model::calibration() };
+    let found = smooth(&frames, &lens(), &model).expect("a lens");
+    let (metres, _) = errors(&found.map_from_optical, &truths);
+    let constants = found.constants;
+    assert!(metres < 1e-3, "{metres} m, {constants:?}");
+    assert!((constants.field_m - size).length() < 1e-3, "{constants:?}");
+    assert!((constants.focal_share - truth.focal_share).abs() < 1e-3, "{constants:?}");
+    assert!((constants.odometry_share - share).abs() < 2e-3, "{constants:?}");
+    assert!((constants.delay_s - delay_s).abs() < 1e-3, "{constants:?}");
 }

@@ -1,0 +1,97 @@
+//! Files of a calibration: a lens file, a robot config, report and maps.
+
+use std::path::Path;
+
+use super::maps::maps;
+use super::report::Report;
+use crate::cli::paths::write;
+use crate::config::lens_text;
+use crate::geometry::{Euler, Isometry};
+use crate::localization::smoothing::Constants;
+use crate::tagging::walk_calibration::WalkCalibration;
+
+const LENS: &str = "lens.toml";
+
+/// Writes everything that the walk determines.
+pub(super) fn write_all(found: &WalkCalibration, report: &Report, folder: &Path) -> anyhow::Result<()> {
+    if found.determines_lens() {
+        let text = lens_text(&found.lens, "Calibrated by a walk");
+        write(&folder.join(LENS), &format!("# Found by `realitysim calibrate --walk`\n{text}"))?;
+    }
+    write(&folder.join("robot.toml"), &robot_text(found))?;
+    write(&folder.join("report.txt"), &report.text())?;
+    write(&folder.join("report.json"), &format!("{}\n", serde_json::to_string_pretty(report)?))?;
+    maps(found).iter().try_for_each(|map| write(&folder.join(map.file), &map.svg))
+}
+
+/// Comment in the robot file that explains whose tilt it is.
+const TILT_COMMENT: &str = "# The tilt is that of the camera against what the IMU calls level: one walk cannot tell a tilted mount from a tilted IMU,\n\
+                    # and a pose needs both together only. With another IMU, or one that was set level anew, it is to be found again.\n";
+
+fn robot_text(found: &WalkCalibration) -> String {
+    let mut text =
+        "# Found by `realitysim calibrate --walk`. What the walk does not determine is left out:\n".to_owned();
+    for constant in &found.constants {
+        let says = if constant.determined { "determined" } else { "not determined" };
+        text.push_str(&format!(
+            "#   {}: {:+.5} {} (sigma {:.5}): {says}\n",
+            constant.name, constant.value, constant.unit, constant.sigma
+        ));
+    }
+    if let Some([length_m, width_m]) = found.field_size_m {
+        text.push_str(&format!(
+            "field = {:?}\nfield_size_m = [{length_m:.4}, {width_m:.4}]\n",
+            found.info.settings.field
+        ));
+    }
+    if found.determines_lens() {
+        text.push_str(&format!("\n[camera]\nlens = {LENS:?}\n"));
+    }
+    let is_determined = |name: &str| found.constants.iter().any(|found| found.name == name && found.determined);
+    if is_determined("delay of the camera") {
+        let delay_ms = found.info.settings.capture.delay_ms + 1e3 * found.corrections.delay_s;
+        text.push_str(&format!("\n[capture]\ndelay_ms = {delay_ms:.2}\n"));
+    }
+    let is_mount = |name: &str| name.starts_with("tilt") || name == "height";
+    if found.constants.iter().filter(|found| is_mount(found.name)).all(|found| found.determined) {
+        text.push_str(&mount_text(found));
+    }
+    text
+}
+
+/// Config lines of the mount. `record` makes the transforms from its config's mount. Any other capture has them from its log,
+/// whatever a config says.
+fn mount_text(found: &WalkCalibration) -> String {
+    let (mount, corrections) = (&found.info.settings.mount, &found.corrections);
+    match mount.torso_height_m.filter(|_| found.info.live.is_some()) {
+        Some(height) => {
+            let [roll, pitch, yaw] = corrected(mount.camera_rpy_deg, corrections);
+            let [x, y, z] = mount.camera_xyz_m;
+            format!(
+                "\n{TILT_COMMENT}[mount]\ntorso_height_m = {:.4}\ncamera_xyz_m = [{x:?}, {y:?}, {z:?}]\ncamera_rpy_deg = [{roll:.4}, {pitch:.4}, {yaw:.4}]\n",
+                height + corrections.height_m
+            )
+        }
+        None => {
+            let [roll, pitch, yaw] = corrected([0.0; 3], corrections);
+            format!(
+                "\n{TILT_COMMENT}# The mount of this capture stands in the transforms of its log, which no config changes. Correct them where they are made:\n\
+                 # the camera is {:+.4} m higher than they say, and turned in its own frame (camera_link) by roll, pitch, yaw of\n\
+                 # [{roll:.4}, {pitch:.4}, {yaw:.4}] degrees.\n",
+                corrections.height_m
+            )
+        }
+    }
+}
+
+/// Roll, pitch and yaw of `camera_link`, degrees, corrected by the tilt that was found, which is about the camera's optical
+/// axes.
+fn corrected([roll, pitch, yaw]: [f64; 3], constants: &Constants) -> [f64; 3] {
+    let believed = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
+    let link_from_optical = Isometry::link_from_optical().rotation;
+    // The tilt turns the camera against up; the mount needs the inverse rotation.
+    let tilt = glam::DQuat::from_scaled_axis(glam::DVec3::new(constants.tilt_x, 0.0, constants.tilt_z)).conjugate();
+    let turned = believed.rotation() * link_from_optical * tilt * link_from_optical.conjugate();
+    let found = Euler::from_rotation(turned);
+    [found.roll, found.pitch, found.yaw].map(f64::to_degrees)
+}
