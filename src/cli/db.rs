@@ -94,7 +94,7 @@ struct FolderArguments {
 
 /// Show which poses a database has images of
 ///
-/// Draws the field twice: with the images by place and heading, and with how far away images are, where views would be good. Proposes
+/// Draws the field twice: with the images by place and heading, and with the share of headings that have an image near. Proposes
 /// where to walk next: places where a turn on the spot closes the most gaps.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim db coverage --db images/ -o coverage.png")]

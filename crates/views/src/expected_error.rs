@@ -58,7 +58,7 @@ pub(super) fn expected_error_px(target: &Target, warp: &Warp, tag: &TagError) ->
 fn magnification(target: &Target, warp: &Warp, node: usize) -> Option<f64> {
     let (columns, _) = target.camera.cells();
     let at = |node: usize| DVec2::from_array(warp.node(node).map(f64::from));
-    if (node + 1) % (columns + 1) == 0 || node + columns + 1 >= target.node_count() {
+    if (node + 1).is_multiple_of(columns + 1) || node + columns + 1 >= target.node_count() {
         return None;
     }
     let (right, down) = (at(node + 1) - at(node), at(node + columns + 1) - at(node));

@@ -185,7 +185,7 @@ pub fn coverage_map(grid: &PoseGrid, field: &Field) -> RgbImage {
     );
     let places = guide.places();
     let mut words = vec![format!(
-        "colour: how far away an image was taken that looks the same way (half of all headings); above {FAR_M} m no view is made"
+        "colour: share of the headings with an image within {GAP_M} m that looks the same way; beyond {FAR_M} m no view is made"
     )];
     words.extend(places.iter().enumerate().map(|(rank, place)| {
         let WalkPlace { x, y, missing } = place;
