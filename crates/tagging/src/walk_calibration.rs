@@ -148,8 +148,11 @@ pub fn calibrate(
 ) -> Result<WalkCalibration, CalibrationError> {
     let mut options = ReplayOptions { warm_start: false, ..options.clone() };
     let is_capture = options.source.join(SESSION_FILE).is_file();
+    // What is tagged anew is a capture of a log. The mount of a recorded walk stays that of its config.
+    let mut live = None;
     if is_capture {
-        options.settings = read_info(&options.source).map_err(RefineError::from)?.settings;
+        let info = read_info(&options.source).map_err(RefineError::from)?;
+        (options.settings, live) = (info.settings, info.live);
     }
     let mut last = [0.0; 2];
     for round in 1..=MAX_ROUNDS {
@@ -157,7 +160,9 @@ pub fn calibrate(
         let fitted = fit(&session, &Model::calibration(), &REACHES, progress)?;
         let found = fitted.smoothed.constants;
         if is_settled(&found) {
-            return assess(fitted, round);
+            let mut found = assess(fitted, round)?;
+            found.info.live = live;
+            return Ok(found);
         }
         last = [found.focal_share, found.field_m.length()];
         options.settings = corrected(&fitted, &options, round)?;
