@@ -44,7 +44,7 @@ pub(super) fn read(text: &str) -> Result<Content, LensFileError> {
     Ok(Content { title: file.title, format: LensFormat::Own, parameters, visual_mesh_pose: None })
 }
 
-/// The text of a lens file that [`read`] reads back to the same lens.
+/// The text of a lens file that `load_lens` reads back to the same lens.
 pub fn lens_text(lens: &LensParameters, title: &str) -> String {
     let LensParameters { width, height, fx, fy, cx, cy, model, fov_deg } = lens;
     let list = |values: &[f64]| values.iter().map(|value| format!("{value:?}")).collect::<Vec<_>>().join(", ");

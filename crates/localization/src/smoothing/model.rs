@@ -29,7 +29,7 @@ pub struct Model {
     pub drift_m_per_s: f64,
     /// Drift of the rotation between frames.
     pub drift_rad_per_s: f64,
-    /// The constants, in the order of [`Constants::values`]; those with 0 are held.
+    /// The constants, in the order of [`Constants::values`](super::Constants::values); those with 0 are held.
     pub constants: [f64; CONSTANTS],
 }
 
