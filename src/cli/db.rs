@@ -11,6 +11,7 @@ use super::values::whole;
 use super::{Outcome, output};
 use crate::config::{Settings, load_field_of_size};
 use crate::database::{self, Added, Checked, ImageDatabase, Stats, TagLimits};
+use crate::evaluation::drawing::{WalkGuide, WalkPlace, coverage_map};
 use crate::geometry::PoseGrid;
 use crate::views::Hall;
 
@@ -93,7 +94,8 @@ struct FolderArguments {
 
 /// Show which poses a database has images of
 ///
-/// Writes a picture of the field: cells of x and y, in each the headings as sectors, dark where there are images.
+/// Draws the field twice: with the images by place and heading, and with how far away images are, where views would be good. Proposes
+/// where to walk next: places where a turn on the spot closes the most gaps.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim db coverage --db images/ -o coverage.png")]
 struct CoverageArguments {
@@ -279,6 +281,27 @@ fn report_checked(checked: &Checked, json: bool) -> anyhow::Result<Outcome> {
     Ok(Outcome::of(&checked.losses))
 }
 
+/// What `coverage` says to programs.
+#[derive(Serialize)]
+struct CoverageReport<'a> {
+    #[serde(flatten)]
+    grid: &'a PoseGrid,
+    walk_next: Vec<WalkPlace>,
+}
+
+fn walk_text(places: &[WalkPlace]) -> String {
+    let place = |WalkPlace { x, y, missing }: &WalkPlace| {
+        format!(
+            "walk next to x {x:.1}, y {y:.1} m and turn around: {:.0} % of the headings are missing",
+            100.0 * missing
+        )
+    };
+    match places {
+        [] => "every heading has an image within half a metre: nothing is missing".to_owned(),
+        places => places.iter().map(place).collect::<Vec<_>>().join("\n"),
+    }
+}
+
 fn coverage(arguments: &CoverageArguments, json: bool) -> anyhow::Result<Outcome> {
     let database = ImageDatabase::open(&arguments.db, &Settings::default().views)?;
     let half = database.field().carpet_half_extent() / arguments.cell;
@@ -290,18 +313,20 @@ fn coverage(arguments: &CoverageArguments, json: bool) -> anyhow::Result<Outcome
     let found = database::coverage(database.index(), database.field(), arguments.cell, usize::from(arguments.headings));
     if let Some(path) = &arguments.output {
         check_output(path, &[&arguments.db])?;
-        save(&database::coverage_picture(&found, database.field()), path)?;
+        save(&coverage_map(&found, database.field()), path)?;
     }
+    let walk_next = WalkGuide::new(&found).places();
     if json {
-        output::json(&found)?;
+        output::json(&CoverageReport { grid: &found, walk_next })?;
     } else {
         let PoseGrid { filled, cells, cell_m, sectors, outside, .. } = found;
         let share = 100.0 * filled as f64 / cells as f64;
         let outside = if outside > 0 { format!("; {outside} images lie off the carpet") } else { String::new() };
         output::lines(&format!(
             "{filled} of {cells} poses filled ({share:.1} %): cells of {cell_m} m and {:.0} degrees; the paper's grid has \
-             {PAPER_POSES}{outside}",
-            360.0 / sectors as f64
+             {PAPER_POSES}{outside}\n{}",
+            360.0 / sectors as f64,
+            walk_text(&walk_next)
         ))?;
     }
     Ok(Outcome::Whole)

@@ -8,6 +8,7 @@ use glam::DVec2;
 use super::paths::{check_output, make_folder, save};
 use super::{Outcome, eval, output, scene};
 use crate::config::Settings;
+use crate::database::{self, TagLimits};
 use crate::evaluation::capture::{read_truth, tagged};
 use crate::evaluation::drawing::{self, Route, RouteStyle};
 use crate::evaluation::{Comparison, Tagged, compare};
@@ -20,8 +21,8 @@ use crate::tagging::{ReplayOptions, replay};
 
 /// See a robot walk a field and every frame of its camera tagged
 ///
-/// Renders a scene into a log, replays the log, judges the tags against the truth and draws a
-/// picture. Needs no hardware and no network.
+/// Renders a scene into a log, replays the log, judges the tags against the truth, draws a picture, and makes a database of
+/// the images. Needs no hardware and no network.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim demo -o demo/")]
 pub struct DemoArguments {
@@ -69,21 +70,28 @@ pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
     let tags: Vec<Tagged> = read_tags(&report.session)?.found.iter().map(tagged).collect();
     let truth = read_truth(&log, &options.settings.topics.ground_truth)?.found;
     let comparison = compare(&tags, &truth);
-    let picture = folder.join("demo.png");
+    let (picture, images) = (folder.join("demo.png"), folder.join("images"));
+    let session = std::slice::from_ref(&report.session);
+    database::add(&images, session, None, TagLimits::default(), &mut |_| {})?;
     draw(&report.session, &tags, &truth, &comparison, &picture)?;
     if json {
-        output::json(&serde_json::json!({ "replay": report, "eval": comparison, "picture": picture }))?;
+        output::json(
+            &serde_json::json!({ "replay": report, "eval": comparison, "picture": picture, "database": images }),
+        )?;
     } else {
         output::lines(&format!(
             "\n{}\n\n  image to tag: p50 {:.1} ms, p99 {:.1} ms a frame, {} particles x {} iterations\n\n\
-             capture  {}\npicture  {}",
+             capture  {}\npicture  {}\n\n\
+             Look at it in a browser: `realitysim serve --db {} --captures {}`, then http://127.0.0.1:8765",
             eval::table(&comparison, 0),
             report.filter_ms.p50,
             report.filter_ms.p99,
             report.particles,
             report.iterations,
             report.session.display(),
-            picture.display()
+            picture.display(),
+            images.display(),
+            options.captures.display()
         ))?;
     }
     Ok(if report.data_was_lost() { Outcome::DataLost } else { Outcome::Whole })

@@ -268,7 +268,7 @@ fn describe_evidence(evidence: &Evidence) -> Vec<String> {
 }
 
 /// Says what to do about a rejection reason.
-fn advice(reason: &str, evidence: Option<&Evidence>) -> &'static str {
+pub(super) fn advice(reason: &str, evidence: Option<&Evidence>) -> &'static str {
     let sees_no_line = evidence.is_some_and(|evidence| evidence.lines.is_empty() || !evidence.contrast.is_finite());
     let is_chance = evidence.is_some_and(|evidence| evidence.agreement.digits < THRESHOLDS.agrees_digits);
     let Some(rejection) = Rejection::from_reason(reason) else {

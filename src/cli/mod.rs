@@ -17,6 +17,7 @@ mod import;
 mod input_files;
 mod install;
 mod junit;
+mod live;
 mod log;
 mod measure;
 mod output;
@@ -90,6 +91,7 @@ enum Command {
     Db(db::DbArguments),
     View(view::ViewArguments),
     Serve(serve::ServeArguments),
+    Live(live::LiveArguments),
     // Rendered walks, and how good it all is.
     Scene(scene::SceneArguments),
     Eval(eval::EvalArguments),
@@ -137,6 +139,7 @@ pub fn run() -> ExitCode {
         Command::Db(arguments) => db::run(&arguments, json),
         Command::View(arguments) => view::run(&arguments, json),
         Command::Serve(arguments) => serve::run(&arguments, json),
+        Command::Live(arguments) => live::run(&arguments, json),
         Command::Scene(arguments) => scene::run(&arguments, json),
         Command::Eval(arguments) => eval::run(&arguments, json),
         Command::Check(arguments) => check::run(&arguments, json),

@@ -10,9 +10,10 @@ use image::RgbImage;
 use super::paths::cannot_read;
 use super::settings::{UsageError, numbers};
 use super::values::any_number;
-use crate::config::{load_lens_for_image, plain_file};
+use crate::config::{LensFile, LensFormat, load_lens_for_image, plain_file};
 use crate::geometry::{Euler, Field, Lens, Pose2};
 use crate::log_input::{body_mask, decode};
+use crate::recording::{SESSION_FILE, read_info};
 use crate::tagging::single_image::{
     ImageLocation, ImagePrior, Look, MEASURED_HEIGHT_SIGMA_M, MIN_SHARE, MIN_WEIGHT, PoseHypothesis,
 };
@@ -141,7 +142,7 @@ impl PhotoArguments {
         let bytes = plain_file::read(image, decode::MAX_IMAGE_FILE_BYTES).map_err(|error| cannot_read(image, error))?;
         let picture = decode::compressed(&bytes).with_context(|| image.display().to_string())?;
         let (width, height) = (picture.width as u32, picture.height as u32);
-        let lens = load_lens_for_image(beside.lens, width, height).with_context(|| image.display().to_string())?;
+        let lens = lens_for_image(beside.lens, width, height).with_context(|| image.display().to_string())?;
         if let Some(stated) = lens.scaled_from {
             // Many images have one lens.
             static SAID: Once = Once::new();
@@ -179,6 +180,32 @@ impl PhotoArguments {
         }
         Err(UsageError(format!("{source} is {height_m}: it must be 0.01 to 100 m")))
     }
+}
+
+/// Loads a lens for an image; of a capture or one of its segments that with which it was tagged.
+fn lens_for_image(lens: &str, width: u32, height: u32) -> anyhow::Result<LensFile> {
+    let path = Path::new(lens);
+    let session = if path.is_dir() { Some(path) } else { path.parent().filter(|_| is_log(path)) };
+    let Some(session) = session.filter(|session| session.join(SESSION_FILE).is_file()) else {
+        return Ok(load_lens_for_image(lens, width, height)?);
+    };
+    let known = read_info(session)?.lens;
+    let size = [known.width, known.height];
+    let scaled = known.scaled_to([width, height]).with_context(|| {
+        format!("{lens}: its lens is for images of {} x {}, and this one has {width} x {height}", size[0], size[1])
+    })?;
+    Ok(LensFile {
+        title: lens.to_owned(),
+        format: LensFormat::Own,
+        lens: Lens::new(scaled)?,
+        scaled_from: (size != [width, height]).then_some(size),
+        visual_mesh_pose: None,
+    })
+}
+
+/// Whether a path names a segment of a capture.
+fn is_log(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending == "mcap" || ending == "active")
 }
 
 /// Returns the picture's pixels, to draw on.

@@ -13,7 +13,7 @@ use crate::geometry::{Field, Pose2};
 use crate::live::{RecordOptions, Status, ask, poses, record, stop_flag};
 
 /// Control socket of the service; a user's own recorder may have another.
-const SOCKET: &str = "/run/realitysim/control.sock";
+pub(super) const SOCKET: &str = "/run/realitysim/control.sock";
 
 /// Record a live camera and tag every frame, on the robot
 ///

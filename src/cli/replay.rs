@@ -6,6 +6,7 @@ use clap::Args;
 
 use super::reference_check::ReferenceArguments;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
+use super::values::number;
 use super::{Outcome, output, paths};
 use crate::config::{Settings, load_field};
 use crate::geometry::{Field, Pose2};
@@ -20,7 +21,7 @@ pub(super) const MAX_THREADS: usize = 64;
 ///
 /// LOG is a ROS 2 MCAP file, a folder of them (a bag or a capture) or one segment of a capture; SCENE is a scene file
 /// (replay/scenes/*.toml). Makes CAPTURES_DIR/<session>/ and prints its path. Camera bytes are passed through
-/// untouched; /camera/pose, /frame_tag and /diagnostics are added. Ground truth in the log is never read.
+/// untouched; /camera/pose, /camera/tf, /frame_tag and /diagnostics are added. Ground truth in the log is never read.
 ///
 /// With --check REFERENCE the tags are held to those of an earlier replay of the same log, which --bless wrote: a gate for
 /// continuous integration.
@@ -55,6 +56,9 @@ pub struct ReplayArguments {
     /// reference is of a log alone, not of what a folder happens to hold
     #[arg(long, conflicts_with = "reference")]
     warm_start: bool,
+    /// Exit code 1 unless at least this share of the tags is valid, 0 to 1
+    #[arg(long, value_name = "SHARE", value_parser = number(0.0..=1.0))]
+    require_valid: Option<f64>,
     #[command(flatten)]
     gate: ReferenceArguments,
     #[command(flatten)]
@@ -100,7 +104,8 @@ fn replay_and_report(arguments: &ReplayArguments, json: bool) -> anyhow::Result<
     print_problems(&report);
     if let Some(gate) = gate {
         let judged = gate.judge(&arguments.source, &report, arguments.initial, json)?;
-        return Ok(if judged == Outcome::Whole { outcome(&report) } else { judged });
+        let own = outcome(&report, arguments.require_valid);
+        return Ok(if judged == Outcome::Whole { own } else { judged });
     }
     if json {
         output::json(&report)?
@@ -114,15 +119,21 @@ fn replay_and_report(arguments: &ReplayArguments, json: bool) -> anyhow::Result<
             arguments.source.display()
         );
     }
-    Ok(outcome(&report))
+    Ok(outcome(&report, arguments.require_valid))
 }
 
 /// If more than one tag in this many is invalid, the program points at `realitysim explain`.
 const MANY_INVALID_DIVISOR: u64 = 5;
 
-/// Outcome of a replay; without a valid tag its goal is not reached.
-fn outcome(report: &ReplayReport) -> Outcome {
-    match (report.is_in_vain(), report.data_was_lost()) {
+/// Outcome of a replay; without a valid tag, or with too few of them, its goal is not reached.
+fn outcome(report: &ReplayReport, required: Option<f64>) -> Outcome {
+    let share = report.valid as f64 / report.tagged.max(1) as f64;
+    let too_few = required.filter(|required| share < *required);
+    if let Some(required) = too_few {
+        let [percent, required] = [share, required].map(|share| 100.0 * share);
+        output::say(&format!("{percent:.1} % of the tags are valid, and --require-valid asks for {required:.1} %"));
+    }
+    match (report.is_in_vain() || too_few.is_some(), report.data_was_lost()) {
         (true, _) => Outcome::NotReached,
         (false, true) => Outcome::DataLost,
         (false, false) => Outcome::Whole,

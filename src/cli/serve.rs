@@ -15,23 +15,28 @@ use crate::config::{Settings, lens_names, load_lens, plain_file};
 use crate::geometry::LensParameters;
 use crate::live::stop_flag;
 use crate::log_input::scene_source;
+use crate::recording::session_holding;
 use crate::service::{ServeOptions, serve};
 use crate::views::{FAR_M, MAX_FAR_M};
 
-/// Serve views of a database over HTTP, for simulators and vision code
+/// Serve views of a database over HTTP, for simulators and vision code, and as a page for people
 ///
-/// GET /v1/view?x=..&y=..&z=..&yaw_deg=.. gives a picture; /openapi.json says the rest (docs/howto/simulator.md). The database may be
+/// A browser shows the page at the address that is told: one walks through the images there, and sees the tags of captures
+/// (docs/howto/page.md). GET /v1/view?x=..&y=..&z=..&yaw_deg=.. gives a picture; /openapi.json says the rest (docs/howto/simulator.md). The database may be
 /// changed meanwhile. Ends with SIGINT or SIGTERM.
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Examples:",
-    "\n  realitysim serve --db images/",
+    "\n  realitysim serve --db images/ --captures captures/",
     "\n  realitysim serve --db images/ --listen 0.0.0.0:8765 --token-file token.txt",
 ))]
 pub struct ServeArguments {
     /// The database's folder
     #[arg(long, value_name = "DIR")]
     db: PathBuf,
+    /// A folder of captures that the page shows: every session in it
+    #[arg(long, value_name = "CAPTURES_DIR")]
+    captures: Option<PathBuf>,
     /// Address and port; port 0 takes a free one, which is told. Beyond loopback a token is needed
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8765", value_parser = address)]
     listen: SocketAddr,
@@ -66,7 +71,9 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
         }
     }
     let options = ServeOptions {
-        database: arguments.db.clone(),
+        database: Some(arguments.db.clone()),
+        live: None,
+        captures: captures_folder(arguments.captures.as_deref())?,
         listen: arguments.listen,
         token: arguments.token_file.as_deref().map(token).transpose()?,
         threads: arguments
@@ -78,24 +85,40 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
         max_distance_m: arguments.max_distance,
     };
     let stop = stop_flag()?;
-    let ready = |address: SocketAddr, images: usize| {
-        #[derive(Serialize)]
-        struct Ready {
-            listening: SocketAddr,
-            images: usize,
-        }
-        // A closed standard output does not stop the service.
-        let _ = if json {
-            output::json(&Ready { listening: address, images })
-        } else {
-            output::lines(&format!("{images} images on http://{address}"))
-        };
-    };
-    serve(options, &stop, ready, output::say)?;
+    let words = "serving views";
+    serve(options, &stop, |address, images| tell_ready(address, images, words, json), output::say)?;
     Ok(Outcome::Whole)
 }
 
-fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> {
+/// Says where the service listens. A closed standard output does not stop it.
+pub(super) fn tell_ready(address: SocketAddr, images: usize, words: &str, json: bool) {
+    #[derive(Serialize)]
+    struct Ready {
+        listening: SocketAddr,
+        images: usize,
+    }
+    let _ = if json {
+        output::json(&Ready { listening: address, images })
+    } else {
+        output::lines(&format!("{words}, {images} images, on http://{address}: open it in a browser"))
+    };
+}
+
+/// The folder of captures, which must be there.
+pub(super) fn captures_folder(folder: Option<&Path>) -> anyhow::Result<Option<PathBuf>> {
+    let Some(folder) = folder else { return Ok(None) };
+    if session_holding(folder).is_some() {
+        let what = "it is a capture, and the folder that holds captures is needed";
+        return Err(UsageError(format!("--captures {}: {what}", folder.display())).into());
+    }
+    if !folder.is_dir() {
+        return Err(UsageError(format!("--captures {}: there is no such folder", folder.display())).into());
+    }
+    Ok(Some(folder.to_owned()))
+}
+
+/// The shipped lenses, and those that are given as NAME=FILE.
+pub(super) fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> {
     let mut lenses = BTreeMap::new();
     for name in lens_names() {
         let lens = load_lens(&name)?.lens.parameters().clone();
@@ -112,7 +135,8 @@ fn lenses(given: &[String]) -> anyhow::Result<BTreeMap<String, LensParameters>> 
 /// Largest file with a token; a longer token fits no HTTP header.
 const MAX_TOKEN_BYTES: u64 = 4096;
 
-fn token(path: &Path) -> anyhow::Result<String> {
+/// Reads the token of a file.
+pub(super) fn token(path: &Path) -> anyhow::Result<String> {
     let text = plain_file::read_text(path, MAX_TOKEN_BYTES).map_err(|error| cannot_read(path, error))?;
     let token = text.trim();
     if token.is_empty() {

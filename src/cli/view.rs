@@ -88,7 +88,7 @@ pub struct ViewArguments {
     /// Nearest image, the paper's view and the exact one beside each other, with mask and numbers
     #[arg(long)]
     side_by_side: bool,
-    /// Write the mask: white is known geometry, gray right in direction only, black shows nothing
+    /// Write the mask: white is known geometry, gray beyond the ground (the hall, and what stands before it), black shows nothing
     #[arg(long, value_name = "PNG")]
     mask: Option<PathBuf>,
     /// Robot config, for its section [views]
@@ -317,7 +317,7 @@ fn side_by_side_panels<T>(
         image
     };
     let caption =
-        format!("mask: {:.0} % known geometry, blue by direction only, red nothing", 100.0 * exact.answer.sure_share);
+        format!("mask: {:.0} % known geometry, blue beyond the ground, red nothing", 100.0 * exact.answer.sure_share);
     panels.push((tint(&exact.answer.image), caption));
     Ok(drawing::panels(&panels, 2))
 }

@@ -1,7 +1,7 @@
 //! Control socket of a running recorder: a Unix socket that takes one command a line and answers with one line of JSON.
 //!
-//! Commands are `status`, `mark TEXT`, `place X,Y,YAW_DEG`, `start` and `stop`. `poses` is answered with a line for each
-//! tag until the client hangs up.
+//! Commands are `status`, `mark TEXT`, `place X,Y,YAW_DEG`, `start` and `stop`. `frame` is answered with a line that states the number
+//! of bytes of the latest frame's image, and then these; `frame N` without them if the latest is still frame N. `poses` is answered with a line for each tag until the client hangs up.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -25,7 +25,20 @@ use crate::ros2::messages::FrameTag;
 /// A command for the event loop, and the channel that takes its answer.
 pub struct Order {
     pub what: ControlCommand,
-    pub answer: Sender<Value>,
+    pub answer: Sender<Answer>,
+}
+
+/// The answer to a command: a line of JSON, and bytes behind it, whose number it states as `bytes` if there are any.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Answer {
+    pub line: Value,
+    pub bytes: Vec<u8>,
+}
+
+impl From<Value> for Answer {
+    fn from(line: Value) -> Self {
+        Self { line, bytes: Vec::new() }
+    }
 }
 
 /// Commands that clients of the control socket can give.
@@ -36,6 +49,8 @@ pub enum ControlCommand {
     Place(Pose2),
     Start,
     Stop,
+    /// The latest frame with its tag, unless it is the one of this number.
+    Frame(Option<u64>),
 }
 
 /// Commands that can wait for the event loop.
@@ -56,6 +71,8 @@ const ANSWER_TIMEOUT: Duration = MAX_FINISH.saturating_add(Duration::from_secs(5
 const CLOSING_TIME: Duration = Duration::from_millis(500);
 /// Bytes of an overlong command that are read and dropped, so that its sender gets to read the refusal.
 const MAX_SWALLOWED_BYTES: u64 = 1 << 20;
+/// Largest number of bytes behind the line of an answer that is believed: a raw image of a large camera.
+const MAX_ANSWER_BYTES: u64 = 64 << 20;
 /// Tags that wait for a slow reader of `poses`; the reader misses those beyond.
 const MAX_TAGS_BEHIND: usize = 64;
 
@@ -159,6 +176,7 @@ fn converse(slot: &ClientSlot, orders: &Sender<Order>, listeners: &Listeners) ->
             "place" if let Some(place) = parse_place(text) => ControlCommand::Place(place),
             "start" => ControlCommand::Start,
             "stop" => ControlCommand::Stop,
+            "frame" => ControlCommand::Frame(text.trim().parse().ok()),
             "poses" => match slot.start_listening() {
                 Ok(()) => return stream_tags(client, listeners),
                 Err(what) => return writeln!(client, "{}", json!({ "error": what })),
@@ -167,7 +185,7 @@ fn converse(slot: &ClientSlot, orders: &Sender<Order>, listeners: &Listeners) ->
                 writeln!(
                     client,
                     "{}",
-                    json!({ "error": "expected status, mark TEXT, place X,Y,YAW_DEG, start, stop or poses" })
+                    json!({ "error": "expected status, mark TEXT, place X,Y,YAW_DEG, start, stop, frame or poses" })
                 )?;
                 continue;
             }
@@ -177,7 +195,9 @@ fn converse(slot: &ClientSlot, orders: &Sender<Order>, listeners: &Listeners) ->
             orders.send_timeout(Order { what, answer }, ANSWER_TIMEOUT).ok()?;
             answered.recv_timeout(ANSWER_TIMEOUT).ok()
         });
-        writeln!(client, "{}", value.unwrap_or_else(|| json!({ "error": "the recorder does not answer" })))?;
+        let answer = value.unwrap_or_else(|| json!({ "error": "the recorder does not answer" }).into());
+        writeln!(client, "{}", answer.line)?;
+        client.write_all(&answer.bytes)?;
     }
 }
 
@@ -230,18 +250,42 @@ fn has_hung_up(client: &UnixStream) -> io::Result<bool> {
     Ok(ends[0].revents().intersects(PollFlags::HUP | PollFlags::ERR))
 }
 
-/// Sends one command to the recorder behind the socket and returns its answer.
+/// Sends one command to the recorder behind the socket and returns its answer's line.
 pub fn ask(path: &Path, line: &str) -> io::Result<Value> {
-    let mut stream = UnixStream::connect(path)?;
-    stream.set_read_timeout(Some(2 * ANSWER_TIMEOUT))?;
-    // A recorder that refuses another client, or an overlong line, answers before it has read everything.
-    let sent = writeln!(stream, "{}", line.replace('\n', " "));
-    let mut answer = String::new();
-    if BufReader::new(stream).read_line(&mut answer)? == 0 {
-        sent?;
-        return Err(io::ErrorKind::UnexpectedEof.into());
+    ControlClient::connect(path)?.ask(line).map(|answer| answer.line)
+}
+
+/// A connection to a recorder that can be asked again and again.
+pub struct ControlClient {
+    reader: BufReader<UnixStream>,
+}
+
+impl ControlClient {
+    /// Connects to the recorder behind the socket.
+    pub fn connect(path: &Path) -> io::Result<Self> {
+        let stream = UnixStream::connect(path)?;
+        stream.set_read_timeout(Some(2 * ANSWER_TIMEOUT))?;
+        Ok(Self { reader: BufReader::new(stream) })
     }
-    Ok(serde_json::from_str(&answer)?)
+
+    /// Sends one command and returns its whole answer.
+    pub fn ask(&mut self, line: &str) -> io::Result<Answer> {
+        // A recorder that refuses another client, or an overlong line, answers before it has read everything.
+        let sent = writeln!(self.reader.get_mut(), "{}", line.replace('\n', " "));
+        let mut answer = String::new();
+        if self.reader.read_line(&mut answer)? == 0 {
+            sent?;
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        let line: Value = serde_json::from_str(&answer)?;
+        let count = line["bytes"].as_u64().unwrap_or(0);
+        if count > MAX_ANSWER_BYTES {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, format!("an answer of {count} bytes")));
+        }
+        let mut bytes = vec![0; count as usize];
+        self.reader.read_exact(&mut bytes)?;
+        Ok(Answer { line, bytes })
+    }
 }
 
 /// Calls `take` with every tag from here on, a line of JSON each, until the recorder ends or `stop` is set.

@@ -7,7 +7,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError};
 use glam::DVec2;
 use serde_json::json;
 
-use super::control::{Control, ControlCommand, Order};
+use super::control::{Answer, Control, ControlCommand, Order};
 use super::devices::{DeviceEvent, Devices};
 use super::messages::{Messages, Names};
 use super::notifications::Announced;
@@ -24,7 +24,7 @@ use crate::geometry::LensParameters;
 use crate::localization::Rejection;
 use crate::log_input::synchroniser::Expected;
 use crate::ros2::mcap_read::LogMessage;
-use crate::ros2::messages::FrameTag;
+use crate::ros2::messages::{CompressedImageView, FrameTag};
 use crate::tagging::inter_session::IdleOdometry;
 use crate::tagging::pipeline::Pipeline;
 
@@ -238,6 +238,10 @@ impl<'a> LiveRecorder<'a> {
 
     fn handle_command(&mut self, order: Order, say: &mut dyn FnMut(&str)) -> Result<(), RecordError> {
         let done = match order.what {
+            ControlCommand::Frame(known) => {
+                let _ = order.answer.try_send(self.latest_frame(known));
+                return Ok(());
+            }
             ControlCommand::Status => {
                 self.refresh_status();
                 self.status.coverage = self.session.as_ref().map(|session| CoverageStatus::from(session.coverage()));
@@ -259,8 +263,23 @@ impl<'a> LiveRecorder<'a> {
             Ok(value) => value.clone(),
             Err(error) => json!({ "error": error.to_string() }),
         };
-        let _ = order.answer.try_send(answer);
+        let _ = order.answer.try_send(answer.into());
         done.map(|_| ())
+    }
+
+    /// The latest frame of the session with its tag, field and lens. Its image is sent as the camera made it, and not encoded here.
+    fn latest_frame(&self, known: Option<u64>) -> Answer {
+        let Some((session, (message, tag))) =
+            self.session.as_ref().and_then(|session| Some((session, session.latest()?)))
+        else {
+            return json!({ "error": "there is no frame yet" }).into();
+        };
+        if known == Some(tag.sequence) {
+            return json!({ "unchanged": true }).into();
+        }
+        let image = CompressedImageView::decode(&message.data).map(|view| view.data.to_vec()).unwrap_or_default();
+        let line = json!({ "bytes": image.len(), "tag": tag, "field": session.field(), "lens": self.lens });
+        Answer { line, bytes: image }
     }
 
     /// Gives the message the present time and passes it to the session, or to the odometry between sessions. Log times

@@ -8,6 +8,7 @@ mod messages;
 mod notifications;
 mod port_events;
 mod rates;
+mod remote;
 mod session_control;
 mod status;
 mod watchdog;
@@ -22,6 +23,7 @@ use thiserror::Error;
 
 pub use control::{ask, poses};
 pub use port_events::Port;
+pub use remote::{RemoteRecorder, RemoteSocket};
 pub use status::{LastTag, RecorderState, Status};
 
 use crate::config::{ConfigError, Settings, load_lens};

@@ -1,11 +1,13 @@
 //! What the whole agent costs at a camera's full rate: `./dev load`.
 
 use std::fs;
+use std::time::{Duration, Instant};
 
 use serde_json::json;
 
 use super::recorder::{CONFIG, Recorder};
 use super::robot::Robot;
+use super::watch::Watch;
 use crate::replay::support::{Room, read_log};
 
 /// Of Linux on every machine this is built for.
@@ -49,6 +51,54 @@ fn thirty_frames_a_second_of_640_by_480() {
     assert!(share < MAX_CORE_SHARE && peak_mb < MAX_MEMORY_MB, "{share} of a core, {peak_mb} MB");
     assert!(counts["valid"].as_u64() > Some(frames * 9 / 10), "{status}");
     assert!(recorder.ends().status.success());
+}
+
+/// Length of each of the measurements.
+const WINDOW: Duration = Duration::from_secs(6);
+/// What being watched may cost the recorder, as a share of a core.
+const MAX_WATCHED_SHARE: f64 = 0.02;
+
+#[test]
+#[ignore = "a measurement, for a machine that does nothing else: `./dev load`"]
+fn being_watched_costs_less_than_two_percent_of_a_core_and_no_frame() {
+    let room = Room::new();
+    let scene = fs::read_to_string("replay/scenes/loop.toml").expect("a scene");
+    room.write("scene.toml", scene);
+    room.run("scene render scene.toml -o log.mcap").succeeds();
+    let robot = Robot::of(&read_log(&room.path("log.mcap")));
+    let config = CONFIG.replace("lens.toml", "fisheye-640");
+    let mut recorder = Recorder::start_at(Some(robot.tty()), &config, "-2.15,-1.24,-5.7");
+    let socket = recorder.room.path("camera.sock");
+    let _line = robot.listens();
+    let walking = std::thread::spawn(move || robot.walk(&socket));
+    // To begin with the whole field is searched, which costs more than anything later.
+    recorder.waits_for("it follows its pose", 60, |status| status["counts"]["valid"].as_u64() > Some(30));
+    let process = recorder.process.as_ref().expect("running").id();
+    let tagged = || recorder.asks("status")["counts"]["tagged"].as_u64().unwrap_or(0);
+    let share = |looks: &dyn Fn()| {
+        let frames = tagged();
+        let (began, before) = (Instant::now(), cpu_s(process));
+        while began.elapsed() < WINDOW {
+            looks();
+            std::thread::sleep(Duration::from_millis(200));
+        }
+        let share = (cpu_s(process) - before) / began.elapsed().as_secs_f64();
+        let tagged = tagged() - frames;
+        assert!(tagged > 40, "{tagged} frames: the robot has stopped walking");
+        share
+    };
+    let before = share(&|| ());
+    let watch = Watch::of(&recorder.room.path(""), &["control.sock"]);
+    watch.waits_for("a frame", |state| state["frame"]["tag"]["sequence"].is_u64());
+    let watched = share(&|| drop(watch.waits_for("an answer", |_| true)));
+    drop(watch);
+    let after = share(&|| ());
+    let alone = (before + after) / 2.0;
+    let dropped = recorder.asks("status")["counts"]["dropped"].clone();
+    println!("{}", json!({ "of_a_core": [before, after], "of_a_core_watched": watched, "dropped": dropped }));
+    assert!(watched - alone < MAX_WATCHED_SHARE && dropped == json!({}), "{alone} alone, {watched} watched, {dropped}");
+    assert!(recorder.ends().status.success());
+    drop(walking);
 }
 
 /// Of all threads so far.

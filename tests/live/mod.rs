@@ -11,3 +11,4 @@ mod recorder;
 mod robot;
 mod sender;
 mod walks;
+mod watch;

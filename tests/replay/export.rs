@@ -67,8 +67,8 @@ fn exported_images_are_those_of_the_source_byte_for_byte() {
             assert!((object[name].as_f64().unwrap() - expected).abs() < 1e-9, "{name}");
         }
     }
-    // tags.csv, tags.jsonl, poses.csv, camera_info.yaml.
-    assert_eq!(fs::read_dir(room.path("frames")).unwrap().count(), images.len() + 4);
+    // tags.csv, tags.jsonl, poses.csv, camera_info.yaml, field.toml.
+    assert_eq!(fs::read_dir(room.path("frames")).unwrap().count(), images.len() + 5);
 }
 
 #[test]

@@ -28,6 +28,7 @@ mod import;
 mod independent;
 mod interrupted;
 mod lenses;
+mod look;
 mod losses;
 mod memory;
 pub mod no_frames;

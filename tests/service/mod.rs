@@ -1,9 +1,10 @@
 //! `realitysim serve`, asked by real clients over real sockets: what is right, what is wrong, and those who mean no good.
 
-mod client;
+pub mod client;
 mod figures;
 mod hostile;
 mod openapi;
+mod page;
 mod python;
 mod requests;
 
@@ -14,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::replay::support::Room;
+use crate::replay::support::{Room, session_name};
 
 pub const POSES: &str = "file,x,y,z,yaw_deg,pitch_deg,roll_deg\n";
 pub const CAMERA_INFO: &str = include_str!("camera_info.yaml");
@@ -44,6 +45,15 @@ pub fn add_images(room: &Room, folder: &str, poses: &[(f64, f64, f64)]) {
 }
 
 pub const PLACES: [(f64, f64, f64); 4] = [(0.1, 0.2, 10.0), (0.3, 0.2, 10.0), (0.2, 0.1, 12.0), (0.2, 0.3, 8.0)];
+
+/// The service on the same database, which shows the walk's capture, and the name of the capture.
+pub fn with_captures() -> (Served, String) {
+    let room = Room::with_walk();
+    let session = session_name(&room.replay("log.mcap"));
+    add_images(&room, "images", &PLACES);
+    let name = session.rsplit('/').next().expect("a name").to_owned();
+    (Served::of(room, "--captures captures"), name)
+}
 
 impl Served {
     pub fn new(arguments: &str) -> Self {

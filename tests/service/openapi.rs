@@ -9,8 +9,8 @@ use proptest::test_runner::{Config, TestRunner};
 use realitysim::service::{OPENAPI, PARAMETERS};
 use serde_json::{Map, Value, json};
 
-use super::Served;
 use super::client::{get, get_with, post};
+use super::{Served, with_captures};
 
 fn document() -> Value {
     serde_json::from_str(OPENAPI).expect("JSON")
@@ -71,16 +71,24 @@ fn its_bounds_are_those_that_are_answered() {
 
 #[test]
 fn its_paths_answer_as_it_says_and_send_the_headers_that_it_names() {
-    let served = Served::new("");
+    let (served, capture) = with_captures();
     assert_eq!(get(served.address, "/openapi.json").json(), document());
     let document = document();
     for (path, methods) in document["paths"].as_object().expect("paths") {
         for (method, operation) in methods.as_object().expect("methods") {
             let answer = match (method.as_str(), path.as_str()) {
                 ("get", "/v1/view") => get(served.address, "/v1/view?x=0.22&y=0.2&z=0.5&yaw_deg=11&pitch_deg=20"),
+                ("get", "/v1/capture") => get(served.address, &format!("/v1/capture?capture={capture}")),
+                ("get", "/v1/frame" | "/v1/tag" | "/v1/explain") => {
+                    get(served.address, &format!("{path}?capture={capture}&frame=2"))
+                }
                 ("get", path) => get(served.address, path),
                 (_, path) => post(served.address, path, r#"{"poses": [{"x": 0.2, "y": 0.2, "z": 0.5, "yaw_deg": 0}]}"#),
             };
+            if ["/v1/live/frame", "/v1/live/order"].contains(&path.as_str()) {
+                assert!([400, 404].contains(&answer.status), "no robot is watched: {}", answer.text());
+                continue;
+            }
             assert_eq!(answer.status, 200, "{method} {path}: {}", answer.text());
             let good = &operation["responses"]["200"];
             let kind = answer.header("content-type").split(';').next().unwrap_or("");

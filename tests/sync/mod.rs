@@ -7,4 +7,4 @@ mod last_copy;
 mod many;
 mod recorder;
 mod sessions;
-mod site;
+pub mod site;

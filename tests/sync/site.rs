@@ -122,6 +122,11 @@ impl Site {
         folder
     }
 
+    /// As the argument of `--ssh`.
+    pub fn ssh(&self) -> &str {
+        &self.sshd.as_ref().expect("over ssh").command
+    }
+
     /// As the argument of `sync`.
     pub fn source(&self, robot: &str) -> String {
         match self.sshd {

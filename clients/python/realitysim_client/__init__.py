@@ -5,7 +5,7 @@
     view = client.view(x=0.3, y=-0.5, z=0.5, yaw_deg=30, pitch_deg=18)
     view.image        # numpy array, height x width x 3, uint8, R G B
     view.made         # stored, nearest, warped or composed
-    view.mask         # height x width: 255 known geometry, 128 right in direction only, 0 nothing; None with mask="none"
+    view.mask         # height x width: 255 known geometry, 128 beyond the ground, 0 nothing; None with mask="none"
 
 Poses are of ``camera_link`` in ``map``: x forward, y left, z up, metres; yaw, pitch, roll in degrees, pitch above 0 looks down.
 A client holds one connection, so that a view costs no more than making it; use one for each thread.

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::catalogue::{Catalogue, Source, TagLimits};
+use super::catalogue::{Catalogue, Source, SourceKind, TagLimits};
 use super::error::{DatabaseError, io};
 use super::image_circle::circle_deg;
 use super::image_database::without_rim;
@@ -167,7 +167,11 @@ fn add_source(
         read;
     let at = source.path.clone();
     let path = || at.clone();
-    let wanted = own.as_ref().or(field);
+    // A capture knows its field. That of a folder of images may be stated anew.
+    let wanted = match source.kind {
+        SourceKind::Capture => own.as_ref().or(field),
+        SourceKind::Folder => field.or(own.as_ref()),
+    };
     let catalogue = match (catalogue, wanted) {
         (Some(known), Some(wanted)) if !known.sources.is_empty() && !wanted.is_same_as(&known.field) => {
             let (found, known) = (wanted.title.clone(), known.field.title.clone());

@@ -63,11 +63,11 @@ mod vignetting;
 
 pub use build::{Added, Checked, Stats, add, rebuild, remove, stats, verify};
 pub use catalogue::{Catalogue, Source, SourceKind, TagLimits};
-pub use coverage::{coverage, coverage_picture};
+pub use coverage::coverage;
 pub use error::DatabaseError;
 pub use image_database::{ImageDatabase, ViewQuery, ViewResult};
 pub use index::{Index, Neighbour, write_index};
 pub use kd_tree::Metric;
 pub use leave_one_out::leave_one_out;
 pub use record::Record;
-pub use sources::{POSES_HEAD, SIGMAS_HEAD};
+pub use sources::{FIELD_FILE, POSES_HEAD, SIGMAS_HEAD};

@@ -13,7 +13,7 @@ use super::error::{DatabaseError, io};
 use super::lit_pixels::LitPixels;
 use super::pixels::{colours, quality, read_bytes};
 use super::record::{Form, Record};
-use realitysim_config::{load_lens_for_image, plain_file};
+use realitysim_config::{ConfigError, load_field, load_lens_for_image, plain_file};
 use realitysim_geometry::{Euler, FieldDimensions, Isometry, LensParameters};
 use realitysim_log_input::log::{self, LogSource};
 use realitysim_log_input::{InputSource, body_mask, decode};
@@ -61,6 +61,8 @@ const MAX_SIGMA_M: f64 = 100.0;
 const MAX_SIGMA_DEG: f64 = 360.0;
 /// The file of a folder of images with its lens.
 const CAMERA: &str = "camera_info.yaml";
+/// The file of a folder of images with its field, if it has one.
+pub const FIELD_FILE: &str = "field.toml";
 /// The file of a folder of images that is dark where they show the robot's own body.
 const MASK: &str = "body_mask.png";
 /// Share of the pixels from which a body mask is refused, because no robot hides so much.
@@ -355,6 +357,7 @@ fn read_folder(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> R
         },
     })?;
     let bodies = body_of(&path, &lens)?.into_iter().collect();
+    let field = field_of(&path)?;
     let empty = records.is_empty().then(|| Loss::new(&path, "none of its images can be read"));
     let (kind, images) = (SourceKind::Folder, records.len() as u64);
     let source = Source {
@@ -372,7 +375,7 @@ fn read_folder(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> R
         goals: true,
     };
     let assumed = without_sigmas(&records);
-    Ok(Read { source, records, field: None, ambiguous: 0, imprecise, assumed, losses, empty, lit, bodies })
+    Ok(Read { source, records, field, ambiguous: 0, imprecise, assumed, losses, empty, lit, bodies })
 }
 
 /// Decodes a batch of a folder's images, once the lens is known from the first readable one.
@@ -397,6 +400,16 @@ fn camera_of(folder: &Path, image: &Path, [width, height]: [u32; 2]) -> Result<L
         DatabaseError::Source { path: folder.to_owned(), what: format!("{error} (as {} is)", image.display()) }
     })?;
     Ok(file.lens.parameters().clone())
+}
+
+/// Reads the field beside the images; `None` if there is none.
+fn field_of(folder: &Path) -> Result<Option<FieldDimensions>, DatabaseError> {
+    let file = folder.join(FIELD_FILE);
+    if !file.is_file() {
+        return Ok(None);
+    }
+    let wrong = |error: ConfigError| DatabaseError::Source { path: folder.to_owned(), what: error.to_string() };
+    load_field(&file.display().to_string()).map(Some).map_err(wrong)
 }
 
 /// Reads the body mask beside the images; `None` if there is none.

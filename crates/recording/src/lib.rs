@@ -87,7 +87,7 @@ pub use refined::{REFINED_INFO, REFINED_TAGS, RefinedConstant, RefinedInfo, refi
 pub use repair::{Repaired, repair, sessions_of};
 pub use retention::Evicted;
 pub use segment::{ACTIVE, is_segment_name};
-pub use session_writer::{Ended, SegmentState, SessionWriter, Writing};
+pub use session_writer::{Ended, SegmentState, SessionWriter, Writing, camera_transforms};
 pub use status::{Fault, RecorderStatus, Stopped};
 pub use sync_schedule::loss_bound_ms;
 pub use tags::{Readout, ReadoutError, losses, read_tags, read_topic};

@@ -18,8 +18,12 @@ use super::status::RecorderStatus;
 use super::storage::Storage;
 use super::writer::{Limits, Writer};
 use realitysim_config::RecordingSettings;
+use realitysim_geometry::Isometry;
 use realitysim_ros2::mcap_read::{Channel, LogMessage};
-use realitysim_ros2::messages::{DiagnosticArray, FrameTag, Header, Message, PoseWithCovarianceStamped};
+use realitysim_ros2::messages::{
+    DiagnosticArray, FrameTag, Header, Message, Point, Pose, PoseWithCovarianceStamped, TFMessage, Transform,
+    TransformStamped, Vector3,
+};
 use realitysim_ros2::topics;
 
 /// Writes one session: its folder, its segments and its manifest.
@@ -169,13 +173,14 @@ impl SessionWriter {
         self.write(message.clone(), kind)
     }
 
-    /// Records the tag of a frame on `/frame_tag`; a valid tag goes to the pose topic as well.
+    /// Records the tag of a frame on `/frame_tag`; a valid tag goes to the topics of poses and of transforms as well.
     pub fn tag(&mut self, log_time_ns: i64, map_frame: &str, tag: &FrameTag) -> Result<(), RecordingError> {
         let position = &tag.pose.pose.position;
         let at = tag.valid.then_some([position.x, position.y]);
         self.own(topics::FRAME_TAG, log_time_ns, tag, Kind::Tag(at))?;
         if tag.valid {
             let header = Header { stamp: tag.header.stamp, frame_id: map_frame.to_owned() };
+            self.own(topics::CAMERA_TF, log_time_ns, &camera_transforms(&header, tag), Kind::Other)?;
             let pose = PoseWithCovarianceStamped { header, pose: tag.pose };
             self.own(topics::POSE, log_time_ns, &pose, Kind::Other)?;
         }
@@ -288,6 +293,23 @@ pub struct SegmentState {
     pub name: &'static str,
     /// The state, as the filter encodes it.
     pub state: Vec<u8>,
+}
+
+/// Returns the transforms from the frame of `header` to the camera, and on to its optical axes.
+pub fn camera_transforms(header: &Header, tag: &FrameTag) -> TFMessage {
+    let step = |parent: &str, child: &str, transform: Transform| TransformStamped {
+        header: Header { frame_id: parent.to_owned(), ..header.clone() },
+        child_frame_id: child.to_owned(),
+        transform,
+    };
+    let Pose { position: Point { x, y, z }, orientation: rotation } = tag.pose.pose;
+    let map_from_camera = Transform { translation: Vector3 { x, y, z }, rotation };
+    TFMessage {
+        transforms: vec![
+            step(&header.frame_id, topics::TAGGED_CAMERA, map_from_camera),
+            step(topics::TAGGED_CAMERA, topics::TAGGED_OPTICAL, Isometry::link_from_optical().into()),
+        ],
+    }
 }
 
 /// Converts mebibytes to bytes.

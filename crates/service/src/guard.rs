@@ -22,6 +22,15 @@ pub(super) enum Guard {
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
 impl Guard {
+    /// Refuses a request for a file of the page, which is no secret: without a token the sender must be this machine, else anybody may
+    /// have it.
+    pub(super) fn check_page<B>(&self, request: &Request<B>) -> Result<(), HttpProblem> {
+        match self {
+            Self::Token(_) => host(request).map(drop),
+            Self::Loopback => self.check(request),
+        }
+    }
+
     /// Refuses a request whose sender may not ask.
     pub(super) fn check<B>(&self, request: &Request<B>) -> Result<(), HttpProblem> {
         let host = host(request)?;

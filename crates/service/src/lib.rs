@@ -1,4 +1,5 @@
-//! Serves views of an image database over HTTP: `realitysim serve`. docs/howto/simulator.md describes the service for its users.
+//! Serves views of an image database over HTTP, and a page that shows them and captures: `realitysim serve`. docs/howto/simulator.md
+//! describes the service for its users, docs/howto/page.md the page.
 //!
 //! [`serve`] listens until it is told to stop, with limits on everything that a client can do. Views are made by a few threads
 //! behind a bounded queue: under overload some requests are refused, and the others are answered as fast as before. Changes of
@@ -13,7 +14,9 @@
 //! use realitysim_service::{ServeError, ServeOptions, serve};
 //!
 //! let options = ServeOptions {
-//!     database: "images".into(),
+//!     database: Some("images".into()),
+//!     captures: None,
+//!     live: None,
 //!     listen: ([127, 0, 0, 1], 8765).into(),
 //!     token: None,
 //!     threads: 2,
@@ -29,10 +32,13 @@
 
 mod admission;
 mod batch;
+mod captures;
 mod connections;
 mod encode;
 mod guard;
+mod live;
 mod metrics;
+mod page;
 mod parameters;
 mod response;
 mod routes;
@@ -40,6 +46,7 @@ mod server;
 mod view_service;
 mod write_timeout;
 
+pub use live::LiveRobot;
 pub use parameters::PARAMETERS;
 pub use server::{ServeError, ServeOptions, serve};
 
@@ -48,13 +55,17 @@ pub const OPENAPI: &str = include_str!("openapi.json");
 
 use std::sync::Arc;
 
+use captures::Captures;
 use metrics::Metrics;
 use response::{HttpProblem, Reply};
 use view_service::ViewService;
 
 /// State that all connections share.
 struct Service {
-    views: ViewService,
+    /// `None` if no database is served.
+    views: Option<ViewService>,
+    captures: Captures,
+    live: Option<Arc<dyn LiveRobot>>,
     metrics: Metrics,
     admission: admission::AdmissionControl,
     connections: Arc<connections::Connections>,

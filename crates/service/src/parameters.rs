@@ -131,6 +131,12 @@ impl Parameters {
         value.map(Some).ok_or_else(|| wrong(name, text, &format!("a whole number from {low} to {high} is needed")))
     }
 
+    /// Returns a text that must be given; `right` says what it is.
+    pub(super) fn text(&self, name: &str, right: &str) -> Result<&str, HttpProblem> {
+        let text = self.0.get(name).map(String::as_str);
+        text.ok_or_else(|| HttpProblem::wrong(format!("{name} is missing: {right}")))
+    }
+
     /// Returns a number within a range that must be given.
     fn needed(&self, name: &str, low: f64, high: f64) -> Result<f64, HttpProblem> {
         let right = PARAMETERS.iter().find(|(known, _)| *known == name).map_or("", |(_, right)| right);

@@ -8,30 +8,55 @@ use std::time::{Duration, Instant};
 use http_body_util::{BodyExt, Limited};
 use hyper::body::{Body, Bytes, Incoming};
 use hyper::header::{ACCEPT, CONTENT_TYPE};
-use hyper::{Request, StatusCode};
+use hyper::{Method, Request, StatusCode};
+use serde_json::json;
 use tokio::time::timeout;
 
 use super::batch::Batch;
+use super::captures::Captures;
 use super::connections::ConnectionSlot;
 use super::encode::{Form, accepted};
 use super::guard::{Guard, list, text};
+use super::live;
+use super::page::{PageFile, page_file};
 use super::parameters::{MaskWanted, Parameters, ViewRequest};
 use super::response::{bytes, finish, json_reply, put_headers};
-use super::view_service::Picture;
+use super::view_service::{Picture, ViewService};
 use super::{HttpProblem, OPENAPI, Reply, Service};
 
 /// The paths of the service.
-const ROUTES: [&str; 6] = ["/v1/view", "/v1/views", "/v1/info", "/v1/coverage", "/metrics", "/openapi.json"];
+const ROUTES: [&str; 14] = [
+    "/v1/view",
+    "/v1/views",
+    "/v1/info",
+    "/v1/coverage",
+    "/v1/captures",
+    "/v1/capture",
+    "/v1/frame",
+    "/v1/tag",
+    "/v1/explain",
+    "/v1/live",
+    "/v1/live/frame",
+    "/v1/live/order",
+    "/metrics",
+    "/openapi.json",
+];
 /// Largest body of a batch, bytes: a thousand poses have some hundred kilobytes.
 const MAX_BODY_BYTES: usize = 1 << 20;
 /// Longest time for the body of a batch to come.
 const MAX_BODY_TIME: Duration = Duration::from_secs(10);
 
 impl Service {
+    /// Returns the views, if a database is served.
+    fn views(&self) -> Result<&ViewService, HttpProblem> {
+        let what = "no database is served: name one with --db DIR";
+        self.views.as_ref().ok_or_else(|| HttpProblem::new(StatusCode::NOT_FOUND, what))
+    }
+
     /// Makes and encodes a view, and counts and times it.
     pub(super) fn picture(&self, asked: &ViewRequest, forms: &[Form]) -> Result<Picture, HttpProblem> {
         let started = Instant::now();
-        let mut picture = self.views.picture(asked, forms)?;
+        let mut picture = self.views()?.picture(asked, forms)?;
         let took = started.elapsed();
         self.metrics.view(picture.made, took);
         picture.headers.push(("server-timing", format!("view;dur={:.3}", 1e3 * took.as_secs_f64())));
@@ -48,6 +73,11 @@ pub(super) async fn answer(
 ) -> Result<Reply, Infallible> {
     let active = slot.request();
     let route = ROUTES.into_iter().find(|route| *route == request.uri().path());
+    if let Some(file) = page_file(request.uri().path()) {
+        let reply = page(&guard, &request, file).unwrap_or_else(|refusal| refusal.reply());
+        service.metrics.request("page", reply.status().as_u16());
+        return Ok(finish(reply, active));
+    }
     let reply = match (guard.check(&request), route) {
         (Err(refusal), _) => Err(refusal),
         (Ok(()), Some(route)) => dispatch(&service, &slot, route, request).await,
@@ -61,6 +91,15 @@ pub(super) async fn answer(
     Ok(finish(reply, active))
 }
 
+/// Answers with a file of the page.
+fn page(guard: &Guard, request: &Request<Incoming>, file: &PageFile) -> Result<Reply, HttpProblem> {
+    guard.check_page(request)?;
+    match *request.method() {
+        Method::GET | Method::HEAD => Ok(file.reply()),
+        _ => Err(HttpProblem::method("the page", "GET, HEAD")),
+    }
+}
+
 /// Hands an admitted request to its route.
 async fn dispatch(
     service: &Arc<Service>,
@@ -68,7 +107,7 @@ async fn dispatch(
     route: &'static str,
     request: Request<Incoming>,
 ) -> Result<Reply, HttpProblem> {
-    let allowed = if route == "/v1/views" { "POST" } else { "GET, HEAD" };
+    let allowed = if ["/v1/views", "/v1/live/order"].contains(&route) { "POST" } else { "GET, HEAD" };
     if !allowed.split(", ").any(|method| request.method() == method) {
         return Err(HttpProblem::method(route, allowed));
     }
@@ -79,8 +118,17 @@ async fn dispatch(
         "/v1/coverage" => coverage(service, slot, parameters, &request).await,
         "/v1/info" => {
             parameters.only(&[])?;
-            Ok(json_reply(&service.views.info()))
+            let none = || json!({ "version": env!("CARGO_PKG_VERSION"), "images": 0, "field": null, "lenses": {}, "scenes": {} });
+            Ok(json_reply(&service.views.as_ref().map_or_else(none, ViewService::info)))
         }
+        "/v1/captures" | "/v1/capture" | "/v1/frame" | "/v1/tag" | "/v1/explain" => {
+            capture(service, slot, parameters, route).await
+        }
+        "/v1/live" | "/v1/live/frame" => {
+            parameters.only(&[])?;
+            live_state(service, slot, route)
+        }
+        "/v1/live/order" => live_order(service, &parameters, request).await,
         "/metrics" => Ok(bytes(StatusCode::OK, "text/plain; version=0.0.4", metrics(service))),
         _ => Ok(bytes(StatusCode::OK, "application/json", OPENAPI)),
     }
@@ -88,13 +136,13 @@ async fn dispatch(
 
 /// Returns the metrics as text.
 fn metrics(service: &Service) -> String {
-    let database = service.views.database();
+    let database = service.views.as_ref().map(ViewService::database);
     service.metrics.text(&[
         ("connections", "Connections that are open", service.connections.len()),
         ("requests_inside", "Requests at work or waiting for a thread", service.admission.inside()),
         ("unsent_bytes", "Memory of answers that clients have not taken yet", service.connections.unsent_bytes()),
-        ("images", "Images in the database", database.index().len()),
-        ("decoded_bytes", "Memory of decoded images", database.decoded_bytes()),
+        ("images", "Images in the database", database.as_ref().map_or(0, |database| database.index().len())),
+        ("decoded_bytes", "Memory of decoded images", database.as_ref().map_or(0, |database| database.decoded_bytes())),
     ])
 }
 
@@ -128,13 +176,25 @@ async fn views(
     request: Request<Incoming>,
 ) -> Result<Reply, HttpProblem> {
     parameters.only(&[])?;
+    service.views()?;
+    let accept = list(&request, &ACCEPT).filter(|accept| !accept.contains("multipart/"));
+    let batch = Batch::from_json(&json_body(request).await?)?;
+    let alpha = |mask| {
+        batch.asked.iter().flatten().map(|asked| asked.mask).find(|own| *own != MaskWanted::None).unwrap_or(mask)
+    };
+    let forms = accepted(accept.as_deref(), alpha(MaskWanted::None))?;
+    let begun = service.admission.begin_batch().await?;
+    Ok(batch.stream(Arc::clone(service), Arc::clone(slot), begun, forms))
+}
+
+/// Reads the body of a request, which must be JSON and not too large.
+async fn json_body(request: Request<Incoming>) -> Result<Bytes, HttpProblem> {
     let kind = text(&request, &CONTENT_TYPE)?.unwrap_or_default();
     let is_json = kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"));
     if !is_json {
         let what = format!("Content-Type is {kind:?}: application/json is needed");
         return Err(HttpProblem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, what));
     }
-    let accept = list(&request, &ACCEPT).filter(|accept| !accept.contains("multipart/"));
     let too_large = || {
         let what = format!("the body has more than {MAX_BODY_BYTES} bytes: ask for fewer views");
         HttpProblem::new(StatusCode::PAYLOAD_TOO_LARGE, what)
@@ -150,13 +210,7 @@ async fn views(
         Some(_) => too_large(),
         None => HttpProblem::wrong(format!("the body did not come whole: {error}")),
     })?;
-    let batch = Batch::from_json(&body.to_bytes())?;
-    let alpha = |mask| {
-        batch.asked.iter().flatten().map(|asked| asked.mask).find(|own| *own != MaskWanted::None).unwrap_or(mask)
-    };
-    let forms = accepted(accept.as_deref(), alpha(MaskWanted::None))?;
-    let begun = service.admission.begin_batch().await?;
-    Ok(batch.stream(Arc::clone(service), Arc::clone(slot), begun, forms))
+    Ok(body.to_bytes())
 }
 
 /// Answers `/v1/coverage` with JSON, or with a picture if the client asks for PNG.
@@ -168,18 +222,81 @@ async fn coverage(
 ) -> Result<Reply, HttpProblem> {
     let picture = list(request, &ACCEPT).is_some_and(|accept| accept.contains("image/png"));
     let shared = Arc::clone(service);
-    let work = move || shared.views.coverage(&parameters, picture);
+    let work = move || shared.views()?.coverage(&parameters, picture);
     let (content, kind) = service.admission.enter().await?.run(work).await??;
     Ok(bytes(StatusCode::OK, kind, hold_answer(slot, content)?))
 }
 
+/// Answers what is asked of the robot that is watched.
+fn live_state(service: &Service, slot: &Arc<ConnectionSlot>, route: &str) -> Result<Reply, HttpProblem> {
+    let robot = service.live.as_deref();
+    if route == "/v1/live" {
+        return Ok(json_reply(&live::state(robot)));
+    }
+    let (content, kind) = live::picture(robot)?;
+    Ok(bytes(StatusCode::OK, kind, hold_answer(slot, content)?))
+}
+
+/// Hands an order to the robot that is watched.
+async fn live_order(
+    service: &Arc<Service>,
+    parameters: &Parameters,
+    request: Request<Incoming>,
+) -> Result<Reply, HttpProblem> {
+    parameters.only(&[])?;
+    let body = json_body(request).await?;
+    let shared = Arc::clone(service);
+    let work = move || live::order(shared.live.as_deref(), &body);
+    Ok(json_reply(&service.admission.enter().await?.run(work).await??))
+}
+
+/// Answers what is asked of captures.
+async fn capture(
+    service: &Arc<Service>,
+    slot: &Arc<ConnectionSlot>,
+    parameters: Parameters,
+    route: &'static str,
+) -> Result<Reply, HttpProblem> {
+    let shared = Arc::clone(service);
+    let work = move || captured(&shared.captures, &parameters, route);
+    let (content, kind) = service.admission.enter().await?.run(work).await??;
+    Ok(bytes(StatusCode::OK, kind, hold_answer(slot, content)?))
+}
+
+/// Returns what is asked of captures, and its media type.
+fn captured(captures: &Captures, parameters: &Parameters, route: &str) -> Result<(Vec<u8>, &'static str), HttpProblem> {
+    const JSON: &str = "application/json";
+    let json = |value: serde_json::Value| (value.to_string().into_bytes(), JSON);
+    let known: &[&str] = match route {
+        "/v1/captures" => &[],
+        "/v1/capture" => &["capture"],
+        _ => &["capture", "frame"],
+    };
+    parameters.only(known)?;
+    if route == "/v1/captures" {
+        return captures.list().map(json);
+    }
+    let name = parameters.text("capture", "the name of a capture, as /v1/captures lists them")?;
+    if route == "/v1/capture" {
+        return Ok((captures.tags(name)?, JSON));
+    }
+    let frame = parameters.whole("frame", 0, u32::MAX)?;
+    let frame = frame.ok_or_else(|| HttpProblem::wrong("frame is missing: the number of a tagged frame, from 0"))?;
+    match route {
+        "/v1/frame" => captures.picture(name, frame),
+        "/v1/tag" => captures.tag(name, frame).map(json),
+        _ => captures.explanation(name, frame).map(json),
+    }
+}
+
 /// Reopens the database if it has changed. Returns what to report: the new number of images, or an error.
 pub(super) fn refresh(service: &Service) -> Option<String> {
-    match service.views.refresh() {
+    let views = service.views.as_ref()?;
+    match views.refresh() {
         Ok(false) => None,
         Ok(true) => {
             service.metrics.reloads.fetch_add(1, Ordering::Relaxed);
-            Some(format!("the database has changed: {} images", service.views.database().index().len()))
+            Some(format!("the database has changed: {} images", views.database().index().len()))
         }
         Err(error) => {
             service.metrics.failed_reloads.fetch_add(1, Ordering::Relaxed);

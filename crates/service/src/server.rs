@@ -18,8 +18,10 @@ use tokio::time::{sleep, timeout};
 
 use super::Service;
 use super::admission::AdmissionControl;
+use super::captures::Captures;
 use super::connections::ConnectionSlot;
 use super::guard::Guard;
+use super::live::LiveRobot;
 use super::metrics::Metrics;
 use super::routes::{answer, refresh};
 use super::view_service::ViewService;
@@ -32,8 +34,12 @@ use realitysim_scene::Scene;
 /// What to serve, and where.
 #[derive(Clone, Debug)]
 pub struct ServeOptions {
-    /// Folder of the database.
-    pub database: PathBuf,
+    /// Folder of the database; without one there are no views.
+    pub database: Option<PathBuf>,
+    /// Folder of the captures that the page shows, if any.
+    pub captures: Option<PathBuf>,
+    /// A robot to watch, if there is one.
+    pub live: Option<Arc<dyn LiveRobot>>,
     /// Address and port to listen on; port 0 takes any free one.
     pub listen: SocketAddr,
     /// Token that clients must send; needed for any address but loopback.
@@ -113,10 +119,14 @@ pub fn serve(
         None if options.listen.ip().is_loopback() => Guard::Loopback,
         None => return Err(ServeError::NoToken(options.listen)),
     };
-    let ServeOptions { database, listen, threads, settings, lenses, scenes, max_distance_m, .. } = options;
-    let views = ViewService::open(&database, &settings, lenses, scenes, max_distance_m)?;
+    let ServeOptions { database, captures, live, listen, threads, settings, lenses, scenes, max_distance_m, .. } =
+        options;
+    let open = |database: PathBuf| ViewService::open(&database, &settings, lenses, scenes, max_distance_m);
+    let views = database.map(open).transpose()?;
     let service = Arc::new(Service {
         views,
+        captures: Captures::of(captures),
+        live,
         metrics: Metrics::default(),
         admission: AdmissionControl::new(threads),
         connections: Arc::default(),
@@ -126,7 +136,7 @@ pub fn serve(
     runtime.block_on(async {
         let failed = |source| ServeError::Listen { address: listen, source };
         let listener = TcpListener::bind(listen).await.map_err(failed)?;
-        ready(listener.local_addr().map_err(failed)?, service.views.database().index().len());
+        ready(listener.local_addr().map_err(failed)?, service.views.as_ref().map_or(0, |views| views.database().index().len()));
         let changes = tokio::spawn(follow_changes(Arc::clone(&service), say));
         let connections = Arc::clone(&service.connections);
         let (end, ended) = watch::channel(false);

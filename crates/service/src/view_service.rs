@@ -13,7 +13,8 @@ use super::HttpProblem;
 use super::encode::{self, Form};
 use super::parameters::{MaskWanted, Parameters, ViewRequest, named};
 use realitysim_config::ViewsSettings;
-use realitysim_database::{DatabaseError, ImageDatabase, ViewQuery, ViewResult, coverage, coverage_picture};
+use realitysim_database::{DatabaseError, ImageDatabase, ViewQuery, ViewResult, coverage};
+use realitysim_evaluation::drawing::coverage_map;
 use realitysim_geometry::{Lens, LensParameters};
 use realitysim_scene::{Scene, ViewOverlay};
 use realitysim_views::{Camera, Provenance, ViewError};
@@ -237,7 +238,7 @@ impl ViewService {
         }
         let found = coverage(database.index(), database.field(), cell_m, headings as usize);
         if picture {
-            let image = coverage_picture(&found, database.field());
+            let image = coverage_map(&found, database.field());
             let (width, height) = image.dimensions();
             let pixels = image.into_raw().as_chunks::<3>().0.iter().map(|[r, g, b]| [*r, *g, *b, 255]).collect();
             let raster = realitysim_views::Raster { width: width as usize, height: height as usize, pixels };
@@ -276,12 +277,17 @@ fn provenance(database: &ImageDatabase, shown: &ViewResult, channels: usize) -> 
     let answer = &shown.answer;
     let source = |used: &realitysim_views::UsedSource| {
         let record = database.index().record(used.id as usize);
+        let pose = record.pose();
+        let position = pose.translation;
         json!({
             "source": record.source,
             "stamp_ns": record.stamp_ns,
             "distance_m": rounded(used.distance_m),
             "angle_deg": rounded(used.angle_rad.to_degrees()),
             "share": rounded(used.share),
+            "x": rounded(position.x),
+            "y": rounded(position.y),
+            "yaw_deg": rounded(pose.euler().yaw.to_degrees()),
         })
     };
     let sources: Vec<Value> = answer.sources.iter().map(source).collect();

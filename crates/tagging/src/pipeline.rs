@@ -92,6 +92,8 @@ pub struct Pipeline {
     perception: Arc<FramePerception>,
     /// Samples for the diagnosis at the end; only in a replay, because a robot has no time for it.
     unplaced: Option<UnplacedFrames>,
+    /// The latest tagged frame's message and its tag, for somebody who watches.
+    latest: Option<(LogMessage, FrameTag)>,
 }
 
 /// Interval of log time at which the state is saved.
@@ -135,6 +137,7 @@ impl Pipeline {
             dead_reckoning,
             perception,
             unplaced: recording.live.is_none().then(UnplacedFrames::default),
+            latest: None,
             settings,
             recording,
         }
@@ -387,7 +390,18 @@ impl Pipeline {
             }
             session.tag(log_time_ns, &self.settings.frames.map, &tag)?;
         }
+        self.latest = Some((frame.message, tag));
         self.report_diagnostics(log_time_ns)
+    }
+
+    /// The latest tagged frame's message and its tag.
+    pub fn latest(&self) -> Option<&(LogMessage, FrameTag)> {
+        self.latest.as_ref()
+    }
+
+    /// The field that the frames are tagged on.
+    pub fn field(&self) -> &FieldDimensions {
+        &self.dimensions
     }
 
     /// Whether a segment is full or the state is due to be saved. Both wait until no frame is under way, so that the

@@ -15,8 +15,8 @@ pub struct Raster {
 
 /// Mask value of a pixel that shows what it should: known geometry, or a recorded image.
 pub const SURE: u8 = 255;
-/// Mask value of a pixel that is right in direction, but whose content is not where the warp takes it to be: above the
-/// horizon or beyond the carpet; in a recorded image, what stands on the carpet ([`super::mark_moving`]).
+/// Mask value of a pixel beyond the ground: of the hall, or of what stands before it at an unknown distance; in a recorded image, of
+/// what stands on the carpet ([`super::mark_moving`]).
 pub const UNSURE: u8 = 128;
 /// Mask value of a black pixel: no source shows it, or the lens draws nothing there.
 pub const NOTHING: u8 = 0;

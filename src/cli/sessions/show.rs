@@ -11,7 +11,7 @@ use super::{CapturesArguments, full_name};
 use crate::cli::paths::{check_output, save};
 use crate::cli::settings::UsageError;
 use crate::cli::{Outcome, output};
-use crate::database::coverage_picture;
+use crate::evaluation::drawing::coverage_map;
 use crate::geometry::{Field, Isometry, PoseGrid};
 use crate::log_input::decode;
 use crate::log_input::log::LogSource;
@@ -94,7 +94,7 @@ pub fn run(arguments: &ShowArguments, json: bool) -> anyhow::Result<Outcome> {
         let (Some(info), Some(grid)) = (&info, &grid) else {
             anyhow::bail!("{}: nothing says which poses it has images of", session.folder.display());
         };
-        save(&coverage_picture(grid, &Field::new(info.field.clone())?), path)?;
+        save(&coverage_map(grid, &Field::new(info.field.clone())?), path)?;
     }
     let coverage = grid.map(|grid| Shape { map: grid.text(), headings: headings(&grid), grid });
     let shown = Shown { row, manifest: listed(&session, is_here), coverage };

@@ -23,7 +23,8 @@ use crate::vision::Picture;
 ///
 /// Lens and height are known, and the tilt to about two degrees; where the camera stood, which way it looked and how it
 /// was tilted is found from the field lines: over the whole field, or near --initial. A field looks the same from both
-/// goals: the mirror pose (-x, -y, yaw + 180) explains the image as well. Without --field all shipped fields are tried.
+/// goals: the mirror pose (-x, -y, yaw + 180) explains the image as well. Without --field all shipped fields are tried; if one image has
+/// no pose on the field that is named, the shipped field that fits is.
 ///
 /// Without --attitude or --height these are found from the lines, too, which takes longer and needs more lines in view.
 ///
@@ -40,7 +41,7 @@ pub struct TagArguments {
     /// JPEGs and PNGs, or folders of them
     #[arg(required = true, value_name = "IMAGE|FOLDER")]
     images: Vec<PathBuf>,
-    /// Lens file (of ROS, OpenCV, Kalibr, OCamCalib, mrcal, VisualMesh or this program), shipped camera, or equidistant:180deg
+    /// Lens file (of ROS, OpenCV, Kalibr, OCamCalib, mrcal, VisualMesh or this program), shipped camera, equidistant:180deg, or a capture
     #[arg(long, value_name = "FILE")]
     lens: String,
     #[command(flatten)]
@@ -184,7 +185,6 @@ fn tag(
     let (picture, camera) = photo.open_any(image, &beside)?;
     let fields = fields(arguments, initial)?;
     let mut results = camera.locate(&picture, &fields, arguments.seed);
-    let score = |located: &ImageLocation| located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
     // Wide lines are seen farther away, so that log likelihoods on fields with other lines compare only roughly.
     results.sort_by(|a, b| a.2.fit().cmp(&b.2.fit()).then(score(&b.2).total_cmp(&score(&a.2))));
     let Some((name, field, located)) = results.first() else { anyhow::bail!("{}: no field to try", image.display()) };
@@ -233,9 +233,36 @@ fn run_one(arguments: &TagArguments, image: &Path, json: bool) -> anyhow::Result
         output::lines(&text)?
     }
     match report.fit {
-        FitQuality::None => anyhow::bail!("{}: no pose found: {}", shown(), photo::explain_no_pose(Some(&located))),
+        FitQuality::None => {
+            let other = other_field(arguments, image)?.map_or_else(String::new, |name| {
+                format!("; of the shipped fields {name} explains it best: try --field {name}")
+            });
+            anyhow::bail!("{}: no pose found: {}{other}", shown(), photo::explain_no_pose(Some(&located)))
+        }
         FitQuality::Good | FitQuality::Doubtful => Ok(Outcome::Whole),
     }
+}
+
+/// The shipped field that explains an image best, if the one that was named explains nothing.
+fn other_field(arguments: &TagArguments, image: &Path) -> anyhow::Result<Option<String>> {
+    if arguments.field.is_none() {
+        return Ok(None);
+    }
+    let beside = OtherInputs { lens: &arguments.lens, body_mask: arguments.body_mask.as_deref(), initial: None };
+    let (picture, camera) = arguments.photo.open_any(image, &beside)?;
+    let mut fields = Vec::new();
+    for name in field_names() {
+        fields.push((name.clone(), Field::new(load_field_of_size(&name, None)?)?));
+    }
+    let results = camera.locate(&picture, &fields, arguments.seed);
+    let placed = results.iter().filter(|(.., located)| located.fit() != FitQuality::None);
+    let best = placed.min_by(|a, b| a.2.fit().cmp(&b.2.fit()).then(score(&b.2).total_cmp(&score(&a.2))));
+    Ok(best.map(|(name, ..)| (*name).to_owned()))
+}
+
+/// Log likelihood of the best pose.
+fn score(located: &ImageLocation) -> f64 {
+    located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood)
 }
 
 /// All files that are read, over which nothing must be written. Poses may be written into the folder of the images.

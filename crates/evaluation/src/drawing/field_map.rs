@@ -4,6 +4,7 @@ use glam::DVec2;
 use image::RgbImage;
 
 use super::canvas::{Canvas, Ink, Pen};
+use super::ellipse::Ellipse;
 use super::paint::{Edge, Patch, patches};
 use super::plot::{Plot, TEXT};
 use super::routes::{self, START_RADIUS, draw_end, draw_sample, draw_start};
@@ -35,6 +36,11 @@ const MAX_LINES: usize = 40;
 /// invisible. Every route starts at a circle and ends at a cross. Caption lines that are too long are broken between
 /// words.
 pub fn field_map(field: &Field, routes: &[Route], size_px: u32, caption: &[String]) -> RgbImage {
+    route_map(field, routes, &[], size_px, caption)
+}
+
+/// Draws a [`field_map`] with the ellipses of 95 % below the routes.
+pub fn route_map(field: &Field, routes: &[Route], ellipses: &[Ellipse], size_px: u32, caption: &[String]) -> RgbImage {
     let width = size_px.clamp(WIDTHS_PX[0], WIDTHS_PX[1]);
     let plot = Plot::new(field, width);
     let size = plot.text_size;
@@ -50,6 +56,7 @@ pub fn field_map(field: &Field, routes: &[Route], size_px: u32, caption: &[Strin
 
     draw_field(&mut canvas, &plot, field);
     canvas.clip_to(plot.low, plot.high);
+    ellipses.iter().for_each(|ellipse| draw_ellipse(&mut canvas, &plot, ellipse));
     routes::draw(&mut canvas, &plot, routes);
     canvas.unclip();
     plot.draw_axes(&mut canvas);
@@ -69,6 +76,12 @@ pub fn field_map(field: &Field, routes: &[Route], size_px: u32, caption: &[Strin
         baseline += LINE_HEIGHT * size;
     }
     canvas.into_image()
+}
+
+pub(super) fn draw_ellipse(canvas: &mut Canvas, plot: &Plot, ellipse: &Ellipse) {
+    let Some(border) = ellipse.border().filter(|_| ellipse.centre.is_finite()) else { return };
+    let border = border.into_iter().map(|offset| plot.pixel(ellipse.centre + offset)).collect();
+    canvas.stroke(&[border], Ink { colour: ellipse.colour, alpha: 0.6 }.pen(0.07 * plot.text_size));
 }
 
 fn draw_field(canvas: &mut Canvas, plot: &Plot, field: &Field) {

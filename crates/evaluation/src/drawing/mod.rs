@@ -1,13 +1,16 @@
 //! Pictures for people: the field from above with routes, and painted lines drawn over camera images.
 //!
 //! [`field_map`](fn@field_map) shows where the robot was, [`overlay`](fn@overlay) whether a pose fits an image,
-//! [`side_by_side`](fn@side_by_side) both, and [`explanation`](fn@explanation) what was seen in a frame. [`chart`]
-//! draws numbers over numbers.
+//! [`side_by_side`](fn@side_by_side) both, and [`explanation`](fn@explanation) what was seen in a frame. [`FrameSheet`] shows a frame
+//! with its tag, [`route_map`] how well each place of a route is known, and [`coverage_map`](fn@coverage_map) where images were taken.
+//! [`chart`] draws numbers over numbers.
 //! All functions take and return pictures and read no files. Odd input (nothing to draw, NaN, a lens that sees no line)
 //! makes a plainer picture, never an error.
 
 mod canvas;
 pub mod chart;
+mod coverage_map;
+mod ellipse;
 mod explanation;
 mod field_map;
 mod overlay;
@@ -16,13 +19,17 @@ mod panels;
 mod plot;
 mod routes;
 mod side_by_side;
+mod tagged_frame;
 mod text;
 
+pub use coverage_map::{WalkGuide, WalkPlace, coverage_map};
+pub use ellipse::{Ellipse, SIGMAS_OF_95};
 pub use explanation::{LEGEND, explanation};
-pub use field_map::field_map;
-pub use overlay::overlay;
+pub use field_map::{field_map, route_map};
+pub use overlay::{overlay, projected_lines};
 pub use panels::panels;
 pub use side_by_side::{beside, side_by_side};
+pub use tagged_frame::{FrameSheet, ShownTag};
 
 use glam::DVec2;
 

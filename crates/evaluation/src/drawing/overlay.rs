@@ -28,6 +28,15 @@ pub fn overlay(
     canvas.into_image()
 }
 
+/// Returns the outline of the paint of the field as a camera would see it: polylines in pixels of the lens, counted from the corner of
+/// the image, (0.5, 0.5) being the centre of the first pixel.
+///
+/// The lines follow the lens, and end a little beyond the image. A pose that is not finite sees none.
+pub fn projected_lines(lens: &Lens, map_from_camera_link: &Isometry, field: &Field) -> Vec<Vec<DVec2>> {
+    let size = DVec2::new(f64::from(lens.width()), f64::from(lens.height()));
+    outline(size, lens, map_from_camera_link, field)
+}
+
 /// Returns the outline of the paint as polylines.
 ///
 /// Coordinates are pixels: (0, 0) is the corner of the image, and (0.5, 0.5) the centre of the first pixel.

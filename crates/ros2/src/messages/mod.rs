@@ -9,6 +9,7 @@ mod image;
 pub mod schema;
 mod sensors;
 mod time;
+mod visualization;
 
 use super::cdr::{CdrError, CdrReader, CdrWriter, Wire};
 
@@ -22,6 +23,10 @@ pub use geometry::{
 pub use image::{CompressedImage, CompressedImageView, Image, ImageView};
 pub use sensors::{CameraInfo, Imu, JointState, RegionOfInterest};
 pub use time::{Header, Stamp};
+pub use visualization::{
+    CircleAnnotation, Color, ColorRGBA, Duration, ImageAnnotations, Marker, MarkerArray, MeshFile, Point2,
+    PointsAnnotation, TextAnnotation, UVCoordinate,
+};
 
 /// A message type that a topic can have.
 pub trait Message: Wire {

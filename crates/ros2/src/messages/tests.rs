@@ -37,6 +37,8 @@ macro_rules! for_each_message {
         $function::<TransformStamped>($argument);
         $function::<TFMessage>($argument);
         $function::<DiagnosticArray>($argument);
+        $function::<MarkerArray>($argument);
+        $function::<ImageAnnotations>($argument);
         $function::<FrameTag>($argument);
     };
 }

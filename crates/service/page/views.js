@@ -1,0 +1,123 @@
+// The pictures of the tab Walk: each follows the pose of the camera.
+
+import { ask, pause } from './api.js';
+import { toQuery } from './pose.js';
+
+/** Requests of one picture under way at once: while one is on its way back, the next is made. */
+const UNDER_WAY = 2;
+/** Time between two changes of the words below a picture. */
+const CAPTION_MS = 150;
+const MASK = { nothing: 0, unsure: 128 };
+
+/** A picture that follows the pose: the newest answer is shown, and what came too late is dropped. */
+export class ViewLoop {
+  constructor(method, figure, state, tab) {
+    Object.assign(this, { method, figure, state, tab });
+    this.canvas = figure.querySelector('canvas');
+    this.caption = figure.querySelector('figcaption');
+    this.wanted = null;
+    this.underWay = 0;
+    this.asked = 0;
+    this.drawn = 0;
+    this.times = [];
+    this.sources = [];
+  }
+
+  want() {
+    const { state } = this;
+    this.wanted = { ...toQuery(state.pose), method: this.method, width: state.size, outside: 'warn', quality: 85 };
+    if (state.lens) this.wanted.lens = state.lens;
+    if (state.mask) this.wanted.mask = 'alpha';
+    this.next();
+  }
+
+  next() {
+    if (!this.wanted || this.underWay >= UNDER_WAY || this.figure.hidden || !this.tab.isActive()) return;
+    const query = this.wanted;
+    this.wanted = null;
+    const number = ++this.asked;
+    this.underWay += 1;
+    this.load(query, number).finally(() => {
+      this.underWay -= 1;
+      this.next();
+    });
+  }
+
+  async load(query, number) {
+    const accept = query.mask ? 'application/octet-stream' : 'image/jpeg';
+    try {
+      const answer = await ask(`/v1/view?${new URLSearchParams(query)}`, { accept });
+      const picture = query.mask ? await masked(answer) : await createImageBitmap(await answer.blob());
+      if (number > this.drawn) this.draw(picture, answer.headers, number);
+    } catch (error) {
+      await this.fail(error, query);
+    }
+  }
+
+  draw(picture, headers, number) {
+    this.drawn = number;
+    const { canvas } = this;
+    if (canvas.width !== picture.width || canvas.height !== picture.height) {
+      canvas.width = picture.width;
+      canvas.height = picture.height;
+      canvas.style.aspectRatio = `${picture.width} / ${picture.height}`;
+    }
+    const context = canvas.getContext('2d');
+    if (picture instanceof ImageData) context.putImageData(picture, 0, 0);
+    else context.drawImage(picture, 0, 0);
+    const now = performance.now();
+    this.times = [...this.times.filter((time) => now - time < 1000), now];
+    this.sources = JSON.parse(headers.get('realitysim-sources') ?? '[]');
+    this.said = this.words(headers);
+    this.tell();
+    canvas.dataset.views = String(number);
+    this.tab.drawn(this.method, headers);
+  }
+
+  /** Shows the newest words a few times a second: text costs more than pictures. */
+  tell() {
+    this.telling ??= setTimeout(() => {
+      this.telling = null;
+      this.caption.textContent = this.said;
+    }, CAPTION_MS);
+  }
+
+  words(headers) {
+    const percent = (name) => `${Math.round(100 * Number(headers.get(name)))} %`;
+    const made = /view;dur=([0-9.]+)/.exec(headers.get('server-timing') ?? '');
+    const words = [{ exact: '', paper: 'the paper: ', nearest: 'nearest image: ' }[this.method] + headers.get('realitysim-made')];
+    words.push(`shows ${percent('realitysim-valid-share')}, ${percent('realitysim-sure-share')} of known geometry`);
+    const error = headers.get('realitysim-expected-error-px');
+    if (this.state.error && this.method === 'exact') words.push(error ? `expected error ${Number(error).toFixed(1)} px` : 'error unknown');
+    if (made) words.push(`made in ${Number(made[1]).toFixed(1)} ms`);
+    if (this.times.length > 2) words.push(`${this.rate()} views/s`);
+    return words.join(' · ');
+  }
+
+  /** Views in the last second. */
+  rate() {
+    return this.times.length;
+  }
+
+  async fail(error, query) {
+    this.said = error.code ? error.message : '';
+    this.tell();
+    if (error.code && error.code !== 503) this.tab.refused(this.method, error.message);
+    const retry = !error.code || error.code === 503;
+    if (!retry) return;
+    await pause(error.code ? 300 : 1500);
+    this.wanted ??= query;
+  }
+}
+
+/** A view whose fourth channel is the mask: what lies beyond the ground is bluish, what no image shows is red. */
+async function masked(answer) {
+  const [width, height] = ['realitysim-width', 'realitysim-height'].map((name) => Number(answer.headers.get(name)));
+  const pixels = new Uint8ClampedArray(await answer.arrayBuffer());
+  for (let i = 0; i < pixels.length; i += 4) {
+    if (pixels[i + 3] === MASK.nothing) pixels.set([200, 40, 40], i);
+    else if (pixels[i + 3] === MASK.unsure) pixels.set([pixels[i] / 2 + 40, pixels[i + 1] / 2 + 40, pixels[i + 2] / 2 + 110], i);
+    pixels[i + 3] = 255;
+  }
+  return new ImageData(pixels, width, height);
+}

@@ -1,0 +1,88 @@
+//! Command `realitysim export`: writes tags or frames in formats of other programs, and as pictures for people.
+
+mod foxglove;
+mod frames;
+mod images;
+mod overlays;
+mod route;
+mod tum;
+mod video;
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use super::paths::check_output;
+use super::{Outcome, output};
+use crate::recording::{Loss, Readout, read_tags};
+
+/// Write a capture's tags or frames in a form that other programs read, or as pictures
+///
+/// tum: a text file, `stamp tx ty tz qx qy qz qw` of camera_link in map, valid tags only (evo reads it).
+/// images: a folder with one file per frame, tags.csv and tags.jsonl; JPEG and PNG are copied byte for byte, raw
+/// frames become PNG. With poses.csv (valid poses that know their half of the field), camera_info.yaml and field.toml it is a
+/// folder of images for `db add`.
+/// overlays: a folder with a picture per frame: thin lines where its tag puts the field, orange if the tag is invalid, and below
+/// where the camera stands, the ellipse that holds it in 95 of 100 cases, and why a tag is invalid.
+/// video: the same pictures as a video, made by ffmpeg, in the format of the output's name.
+/// foxglove: a folder with a log for Foxglove, Lichtblick, Rerun and RViz, with the camera on the field in 3D and the lines of each tag
+/// over its image, and with a layout for the first two.
+/// route: a picture of the field with the route, coloured by why tags are invalid, and ellipses.
+///
+/// What a damaged or incomplete capture no longer holds is named, and the rest written (exit code 3).
+#[derive(Args)]
+#[command(after_long_help = concat!(
+    "Examples:",
+    "\n  realitysim export captures/2026-11-21T10-00-00Z-robot --to images -o frames/",
+    "\n  realitysim export captures/2026-11-21T10-00-00Z-robot --to video -o walk.mp4",
+))]
+pub struct ExportArguments {
+    /// A capture's folder, or one of its segments
+    capture: PathBuf,
+    /// What to write
+    #[arg(long)]
+    to: Format,
+    /// File (tum, video, route) or folder (images, overlays, foxglove) to write, outside of any capture
+    #[arg(short, long)]
+    output: PathBuf,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Format {
+    Tum,
+    Images,
+    Overlays,
+    Video,
+    Route,
+    Foxglove,
+}
+
+#[derive(Serialize)]
+struct Report {
+    output: PathBuf,
+    written: usize,
+    lost: Vec<Loss>,
+}
+
+pub fn run(arguments: &ExportArguments, json: bool) -> anyhow::Result<Outcome> {
+    let ExportArguments { capture, output, to } = arguments;
+    check_output(output, &[capture])?;
+    let Readout { found: tags, losses, .. } = read_tags(capture)?;
+    let (written, lost) = match to {
+        Format::Tum => (tum::tum(&tags, output)?, losses),
+        Format::Images => images::images(capture, &tags, output)?,
+        Format::Overlays => overlays::overlays(capture, &tags, output)?,
+        Format::Video => video::video(capture, &tags, output)?,
+        Format::Foxglove => foxglove::foxglove(capture, &tags, output)?,
+        Format::Route => (route::route(capture, &tags, output)?, losses),
+    };
+    output::losses(&lost);
+    let report = Report { output: output.clone(), written, lost };
+    if json {
+        output::json(&report)?;
+    } else {
+        output::lines(&format!("{written} written to {}", report.output.display()))?;
+    }
+    Ok(Outcome::of(&report.lost))
+}

@@ -1,0 +1,85 @@
+//! Command `realitysim live`: watches a robot while it records, in a browser.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use clap::Args;
+
+use super::record::SOCKET;
+use super::serve::{captures_folder, tell_ready, token};
+use super::settings::UsageError;
+use super::status_text::status_text;
+use super::values::address;
+use super::{Outcome, output};
+use crate::config::Settings;
+use crate::live::{RemoteRecorder, RemoteSocket, Status, stop_flag};
+use crate::recording::sync::{SSH, Source};
+use crate::service::{ServeOptions, serve};
+use crate::views::FAR_M;
+
+/// Watch a robot while it records, in a browser
+///
+/// Shows what its recorder sees now: the picture with the lines of its tag, where it stands, drops, disk and clocks; `mark`,
+/// `place`, `start` and `stop` are buttons. The robot is reached by ssh, which forwards the recorder's control socket: nothing else
+/// runs there, and a robot that goes away is tried again. Ends with SIGINT or SIGTERM (docs/howto/page.md).
+#[derive(Args)]
+#[command(after_long_help = "Example:\n  realitysim live nao@10.0.0.7:")]
+pub struct LiveArguments {
+    /// user@host: or user@host:SOCKET, as for ssh; a path is a socket of this machine
+    robot: String,
+    /// A database, to walk through its images beside it
+    #[arg(long, value_name = "DIR")]
+    db: Option<PathBuf>,
+    /// A folder of captures that the page shows
+    #[arg(long, value_name = "CAPTURES_DIR")]
+    captures: Option<PathBuf>,
+    /// Address and port; port 0 takes a free one, which is told. Beyond loopback a token is needed
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8765", value_parser = address)]
+    listen: SocketAddr,
+    /// A file with the token that clients must send
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// The command that opens a shell on the robot
+    #[arg(long, value_name = "COMMAND", default_value = SSH)]
+    ssh: String,
+}
+
+pub fn run(arguments: &LiveArguments, json: bool) -> anyhow::Result<Outcome> {
+    let robot = RemoteRecorder::watch(remote_socket(arguments)?, describe)?;
+    let options = ServeOptions {
+        database: arguments.db.clone(),
+        captures: captures_folder(arguments.captures.as_deref())?,
+        live: Some(Arc::new(robot)),
+        listen: arguments.listen,
+        token: arguments.token_file.as_deref().map(token).transpose()?,
+        threads: std::thread::available_parallelism().map_or(1, usize::from),
+        settings: Settings::default().views,
+        lenses: super::serve::lenses(&[])?,
+        scenes: Default::default(),
+        max_distance_m: FAR_M,
+    };
+    let (stop, words) = (stop_flag()?, format!("watching {}", arguments.robot));
+    serve(options, &stop, |address, images| tell_ready(address, images, &words, json), output::say)?;
+    Ok(Outcome::Whole)
+}
+
+/// Reads where the recorder's socket is: as for `sync`, and without a path the recorder's own.
+fn remote_socket(arguments: &LiveArguments) -> Result<RemoteSocket, UsageError> {
+    let LiveArguments { robot, ssh, .. } = arguments;
+    let source = Source::parse(robot).map_err(|error| UsageError(error.to_string()))?;
+    let names_none = source.is_remote() && robot.ends_with(':');
+    let socket = if names_none { SOCKET } else { &source.folder };
+    let ssh: Vec<String> = ssh.split_whitespace().map(str::to_owned).collect();
+    if ssh.is_empty() {
+        return Err(UsageError("--ssh names no program".to_owned()));
+    }
+    if !source.is_remote() && Path::new(socket).is_dir() {
+        return Err(UsageError(format!("{socket}: it is a folder: name user@host: or the recorder's control socket")));
+    }
+    Ok(RemoteSocket { host: source.host, socket: PathBuf::from(socket), ssh })
+}
+
+fn describe(status: &Status) -> Vec<String> {
+    status_text(status).lines().map(str::to_owned).collect()
+}

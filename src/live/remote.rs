@@ -1,0 +1,325 @@
+//! A recorder that is watched from elsewhere: its control socket, forwarded by ssh, asked again and again.
+//!
+//! Nothing runs on the robot for that but its recorder, which answers from its control socket alone. A robot that goes away and comes
+//! back is asked again. What is not asked costs nothing: frames are fetched while somebody looks, one after the other, so that a thin
+//! link carries fewer.
+
+use std::io::{ErrorKind, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use super::Status;
+use super::control::{Answer, ControlClient, ask};
+use crate::evaluation::drawing::projected_lines;
+use crate::geometry::{Field, FieldDimensions, Isometry, Lens, LensParameters};
+use crate::ros2::messages::{Point, Pose, Quaternion};
+use crate::service::LiveRobot;
+
+/// Where a recorder's control socket is.
+#[derive(Clone, Debug)]
+pub struct RemoteSocket {
+    /// `user@host` as for ssh; `None` for this machine.
+    pub host: Option<String>,
+    /// Path of the control socket there.
+    pub socket: PathBuf,
+    /// The command that opens a shell on the robot, with its arguments.
+    pub ssh: Vec<String>,
+}
+
+/// A watched recorder. Dropping it ends the watching.
+#[derive(Debug)]
+pub struct RemoteRecorder {
+    shared: Arc<Shared>,
+    watcher: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    at: RemoteSocket,
+    describe: fn(&Status) -> Vec<String>,
+    seen: Mutex<Seen>,
+    stop: AtomicBool,
+}
+
+/// What was last seen of the recorder.
+#[derive(Debug, Default)]
+struct Seen {
+    /// The socket to ask; `None` while the robot is away.
+    socket: Option<PathBuf>,
+    /// Why the robot is away.
+    why: String,
+    status: Value,
+    words: Vec<String>,
+    /// What the recorder says of its latest frame, and the frame's image.
+    frame: Value,
+    picture: Vec<u8>,
+    /// Why there is no frame.
+    no_frame: Option<String>,
+    came: Option<Instant>,
+    /// When somebody last looked.
+    looked: Option<Instant>,
+}
+
+/// Time between two questions about the status.
+const STATUS_EVERY: Duration = Duration::from_secs(1);
+/// Smallest time between two frames: five a second are enough to watch.
+const FRAME_EVERY: Duration = Duration::from_millis(200);
+/// Time after the last look within which frames are fetched.
+const LOOKED_WITHIN: Duration = Duration::from_secs(3);
+/// Time between two attempts to reach the robot.
+const RETRY_EVERY: Duration = Duration::from_secs(2);
+/// Longest time for ssh to forward the socket.
+const MAX_CONNECT: Duration = Duration::from_secs(20);
+/// Time between two looks at the stop flag.
+const TICK: Duration = Duration::from_millis(50);
+/// Bytes of ssh's complaint that are kept.
+const MAX_COMPLAINT_BYTES: u64 = 4096;
+
+impl RemoteRecorder {
+    /// Begins to watch. `describe` puts a status into words.
+    pub fn watch(at: RemoteSocket, describe: fn(&Status) -> Vec<String>) -> std::io::Result<Self> {
+        let why = "the robot has not been reached yet".to_owned();
+        let seen = Mutex::new(Seen { why, ..Seen::default() });
+        let shared = Arc::new(Shared { at, describe, seen, stop: AtomicBool::new(false) });
+        let own = Arc::clone(&shared);
+        let watcher = std::thread::Builder::new().name("watcher".to_owned()).spawn(move || own.watch())?;
+        Ok(Self { shared, watcher: Some(watcher) })
+    }
+}
+
+impl Drop for RemoteRecorder {
+    fn drop(&mut self) {
+        self.shared.stop.store(true, Ordering::Relaxed);
+        if let Some(watcher) = self.watcher.take() {
+            let _ = watcher.join();
+        }
+    }
+}
+
+impl LiveRobot for RemoteRecorder {
+    fn state(&self) -> Value {
+        let mut seen = self.shared.seen();
+        seen.looked = Some(Instant::now());
+        let host = self.shared.at.host.as_deref().unwrap_or("this machine");
+        json!({
+            "robot": host,
+            "connected": seen.socket.is_some(),
+            "why": seen.why,
+            "status": seen.status,
+            "words": seen.words,
+            "frame": seen.frame,
+            "no_frame": seen.no_frame,
+            "age_s": seen.came.map(|came| came.elapsed().as_secs_f64()),
+        })
+    }
+
+    fn picture(&self) -> Option<Vec<u8>> {
+        let seen = self.shared.seen();
+        (!seen.picture.is_empty()).then(|| seen.picture.clone())
+    }
+
+    fn order(&self, order: &str) -> Result<Value, String> {
+        let socket = self.shared.seen().socket.clone();
+        let socket = socket.ok_or_else(|| "the robot is away".to_owned())?;
+        let answer = ask(&socket, order).map_err(|error| format!("the recorder does not answer: {error}"))?;
+        match answer["error"].as_str() {
+            Some(error) => Err(error.to_owned()),
+            None => Ok(answer),
+        }
+    }
+}
+
+impl Shared {
+    fn seen(&self) -> MutexGuard<'_, Seen> {
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn has_ended(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Watches until it is told to stop, however often the robot goes away.
+    fn watch(&self) {
+        while !self.has_ended() {
+            let why = match self.connect() {
+                Ok(connection) => self.follow(&connection),
+                Err(why) => why,
+            };
+            let mut seen = self.seen();
+            (seen.socket, seen.why) = (None, why);
+            drop(seen);
+            self.pause(RETRY_EVERY);
+        }
+    }
+
+    fn pause(&self, time: Duration) {
+        let began = Instant::now();
+        while began.elapsed() < time && !self.has_ended() {
+            std::thread::sleep(TICK);
+        }
+    }
+
+    /// Forwards the socket here, unless it is here.
+    fn connect(&self) -> Result<Connection, String> {
+        let Some(host) = &self.at.host else {
+            return Ok(Connection { socket: self.at.socket.clone(), ssh: None, _folder: None });
+        };
+        let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
+        let socket = folder.path().join("control.sock");
+        let [program, arguments @ ..] = &self.at.ssh[..] else { return Err("--ssh names no program".to_owned()) };
+        let forward = format!("{}:{}", socket.display(), self.at.socket.display());
+        let ssh = Command::new(program)
+            .args(arguments)
+            .args(["-N", "-T", "-o", "ExitOnForwardFailure=yes", "-L", &forward, host])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(|error| format!("{program} cannot be started: {error}"))?;
+        let mut connection = Connection { socket, ssh: Some(ssh), _folder: Some(folder) };
+        let began = Instant::now();
+        while !connection.socket.exists() {
+            if let Some(why) = connection.has_gone() {
+                return Err(why);
+            }
+            if began.elapsed() > MAX_CONNECT || self.has_ended() {
+                return Err(format!("{host} does not answer"));
+            }
+            std::thread::sleep(TICK);
+        }
+        Ok(connection)
+    }
+
+    /// Asks until the recorder does not answer any more. Returns why.
+    fn follow(&self, connection: &Connection) -> String {
+        let socket = &connection.socket;
+        let mut client = match ControlClient::connect(socket) {
+            Ok(client) => client,
+            Err(error) => return self.explain(&error),
+        };
+        let mut status_at: Option<Instant> = None;
+        while !self.has_ended() {
+            if status_at.is_none_or(|at| at.elapsed() >= STATUS_EVERY) {
+                status_at = Some(Instant::now());
+                match client.ask("status") {
+                    Ok(status) => self.take_status(socket, status.line),
+                    Err(error) => return self.explain(&error),
+                }
+            }
+            let is_watched = self.seen().looked.is_some_and(|looked| looked.elapsed() < LOOKED_WITHIN);
+            if is_watched {
+                match client.ask(&self.frame_order()) {
+                    Ok(answer) => self.take_frame(answer),
+                    Err(error) => return self.explain(&error),
+                }
+            }
+            self.pause(FRAME_EVERY);
+        }
+        String::new()
+    }
+
+    /// The question for a frame that is not the one that is known already.
+    fn frame_order(&self) -> String {
+        match self.seen().frame["tag"]["sequence"].as_u64() {
+            Some(sequence) => format!("frame {sequence}"),
+            None => "frame".to_owned(),
+        }
+    }
+
+    fn explain(&self, error: &std::io::Error) -> String {
+        let socket = self.at.socket.display();
+        match error.kind() {
+            ErrorKind::NotFound
+            | ErrorKind::ConnectionRefused
+            | ErrorKind::UnexpectedEof
+            | ErrorKind::ConnectionReset
+            | ErrorKind::BrokenPipe => {
+                format!("no recorder answers at {socket} (systemctl status realitysim); it is tried again")
+            }
+            ErrorKind::PermissionDenied => {
+                format!("{socket}: no permission: your user must be in the group realitysim")
+            }
+            _ => format!("{socket}: {error}; it is tried again"),
+        }
+    }
+
+    fn take_status(&self, socket: &Path, status: Value) {
+        let words = match serde_json::from_value::<Status>(status.clone()) {
+            Ok(known) => (self.describe)(&known),
+            Err(_) => vec!["the recorder is of another version: not all that it says is understood".to_owned()],
+        };
+        let mut seen = self.seen();
+        (seen.socket, seen.why, seen.status, seen.words) = (Some(socket.to_owned()), String::new(), status, words);
+    }
+
+    fn take_frame(&self, answer: Answer) {
+        let Answer { mut line, bytes } = answer;
+        let error = line["error"].as_str().map(|error| match error.contains("expected status") {
+            true => "the recorder on the robot is older and sends no pictures: update it".to_owned(),
+            false => error.to_owned(),
+        });
+        let is_new = error.is_none() && line["unchanged"] != true;
+        if is_new {
+            line["lines"] = lines(&line);
+        }
+        let mut seen = self.seen();
+        if is_new {
+            (seen.frame, seen.picture, seen.came) = (line, bytes, Some(Instant::now()));
+        }
+        seen.no_frame = error;
+    }
+}
+
+/// The lines of the field where the tag of a frame puts them, pixels from the corner of the image.
+fn lines(line: &Value) -> Value {
+    let read = || {
+        let field: FieldDimensions = serde_json::from_value(line["field"].clone()).ok()?;
+        let lens: LensParameters = serde_json::from_value(line["lens"].clone()).ok()?;
+        let pose = &line["tag"]["pose"]["pose"];
+        let number = |part: &str, axis: &str| pose[part][axis].as_f64();
+        let position = Point { x: number("position", "x")?, y: number("position", "y")?, z: number("position", "z")? };
+        let [x, y, z, w] = ["x", "y", "z", "w"].map(|axis| number("orientation", axis));
+        let pose = Pose { position, orientation: Quaternion { x: x?, y: y?, z: z?, w: w? } };
+        Some(projected_lines(&Lens::new(lens).ok()?, &Isometry::from(pose), &Field::new(field).ok()?))
+    };
+    let tenth = |value: f64| (10.0 * value).round() / 10.0;
+    let lines = read().unwrap_or_default();
+    let lines = lines.iter().map(|line| line.iter().map(|point| [tenth(point.x), tenth(point.y)]).collect());
+    json!(lines.collect::<Vec<Vec<[f64; 2]>>>())
+}
+
+/// A socket that can be asked, as long as this is held.
+struct Connection {
+    socket: PathBuf,
+    /// The ssh that forwards it.
+    ssh: Option<Child>,
+    /// Where the forwarded socket lies.
+    _folder: Option<tempfile::TempDir>,
+}
+
+impl Connection {
+    /// Why ssh has ended, if it has.
+    fn has_gone(&mut self) -> Option<String> {
+        let ssh = self.ssh.as_mut()?;
+        ssh.try_wait().ok().flatten()?;
+        let mut said = String::new();
+        let stderr = ssh.stderr.take()?;
+        let _ = stderr.take(MAX_COMPLAINT_BYTES).read_to_string(&mut said);
+        Some(said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("ssh ended").to_owned())
+    }
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        if let Some(ssh) = &mut self.ssh {
+            let _ = ssh.kill();
+            let _ = ssh.wait();
+        }
+    }
+}

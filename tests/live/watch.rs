@@ -1,0 +1,126 @@
+//! A recorder that is watched in the page, over its control socket and through ssh.
+
+use std::io::{BufRead, BufReader};
+use std::net::SocketAddr;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use super::recorder::Recorder;
+use super::robot::Robot;
+use crate::replay::support::{Room, walk};
+use crate::service::client::{get, post};
+use crate::sync::site::Site;
+
+/// The program as a watcher; ends with the test.
+pub struct Watch {
+    address: SocketAddr,
+    process: Child,
+}
+
+impl Watch {
+    pub fn of(folder: &Path, arguments: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_realitysim"));
+        command.arg("live").args(arguments).args(["--listen", "127.0.0.1:0", "--json"]).current_dir(folder);
+        let mut process = command.stdout(Stdio::piped()).spawn().expect("started");
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().expect("piped")).read_line(&mut line).expect("a line");
+        let ready: Value = serde_json::from_str(&line).expect("where it listens");
+        Self { address: ready["listening"].as_str().and_then(|text| text.parse().ok()).expect("an address"), process }
+    }
+
+    pub fn waits_for(&self, what: &str, is: impl Fn(&Value) -> bool) -> Value {
+        let began = Instant::now();
+        loop {
+            let state = get(self.address, "/v1/live").json();
+            if is(&state) {
+                return state;
+            }
+            assert!(began.elapsed() < Duration::from_secs(30), "{what}: {state}");
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+
+    fn order(&self, order: &str) -> (u16, Value) {
+        let answer = post(self.address, "/v1/live/order", &serde_json::json!({ "order": order }).to_string());
+        (answer.status, answer.json())
+    }
+}
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+#[test]
+fn a_watched_robot_shows_its_frames_with_lines_and_takes_orders() {
+    let robot = Robot::of(&walk().messages);
+    let mut recorder = Recorder::start(Some(robot.tty()));
+    let watch = Watch::of(&recorder.room.path(""), &["control.sock"]);
+    let camera = recorder.room.path("camera.sock");
+    let walking = std::thread::spawn(move || robot.walk(&camera));
+    let state = watch.waits_for("a valid frame", |state| state["frame"]["tag"]["valid"] == true);
+    assert_eq!((&state["connected"], &state["frame"]["lens"]["width"]), (&true.into(), &320.into()), "{state}");
+    assert!(state["frame"]["lines"].as_array().is_some_and(|lines| lines.len() > 3), "{state}");
+    assert!(state["words"].as_array().is_some_and(|words| words.len() > 3), "{state}");
+    let picture = get(watch.address, "/v1/live/frame");
+    assert!(picture.status == 200 && picture.body.starts_with(&[0xff, 0xd8]), "{}", picture.status);
+    assert_eq!(watch.order("mark goal kick"), (200, serde_json::json!({ "marked": "goal kick" })));
+    assert_eq!(watch.order("place 100,0,0").0, 409, "off the field");
+    assert_eq!(watch.order("poses").0, 400);
+    walking.join().expect("walked");
+    assert_eq!(watch.order("stop").1["state"], "stopped");
+    assert!(recorder.ends().status.success());
+    watch.waits_for("it is away", |state| state["connected"] == false);
+}
+
+#[test]
+fn a_robot_that_goes_away_and_comes_back_is_watched_again() {
+    let mut recorder = Recorder::start(None);
+    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    let watch = Watch::of(&recorder.room.path(""), &["control.sock"]);
+    let state = watch.waits_for("it is there", |state| state["connected"] == true);
+    assert_eq!(state["status"]["state"], "recording");
+    watch.waits_for("it has no camera", |state| state["no_frame"] == "there is no frame yet");
+    let mut process = recorder.process.take().expect("running");
+    process.kill().expect("alive");
+    process.wait().expect("ended");
+    let away = watch.waits_for("it is away", |state| state["connected"] == false);
+    assert!(away["why"].as_str().is_some_and(|why| why.contains("no recorder answers at control.sock")), "{away}");
+    assert_eq!(watch.order("start").0, 409);
+    assert_eq!(get(watch.address, "/").status, 200, "the page stays");
+    recorder.process = Some(Recorder::process(&recorder.room, "-2.06,0.153,14.5"));
+    watch.waits_for("it is back", |state| state["connected"] == true);
+    assert_eq!(get(watch.address, "/v1/view?x=0&y=0&z=0.5&yaw_deg=0").status, 404, "no database is served");
+    assert_eq!(get(watch.address, "/v1/info").json()["field"], Value::Null);
+    assert!(recorder.ends().status.success());
+}
+
+#[test]
+fn ssh_forwards_the_socket_of_a_robot() {
+    let Some(site) = Site::with_ssh() else { return };
+    let mut recorder = Recorder::start(None);
+    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    let robot = format!("127.0.0.1:{}", recorder.room.path("control.sock").display());
+    let watch = Watch::of(&site.path(""), &[&robot, "--ssh", site.ssh()]);
+    let state = watch.waits_for("it is there", |state| state["connected"] == true);
+    assert_eq!((&state["robot"], &state["status"]["state"]), (&"127.0.0.1".into(), &"recording".into()));
+    assert_eq!(watch.order("mark over ssh").1["marked"], "over ssh");
+    assert!(recorder.ends().status.success());
+    watch.waits_for("it is away", |state| state["connected"] == false);
+}
+
+#[test]
+fn a_robot_that_cannot_be_one_is_a_wrong_call() {
+    let room = Room::new();
+    for (robot, words) in [("-oProxyCommand=x:", "host"), (".", "it is a folder")] {
+        room.run(&format!("live --listen 127.0.0.1:0 -- {robot}")).fails(2, &[words]);
+    }
+    let watch = Watch::of(&room.path(""), &["nobody.invalid:", "--ssh", "false"]);
+    let state = watch.waits_for("ssh ends", |state| state["why"].as_str().is_some_and(|why| why.contains("ssh")));
+    assert_eq!(state["connected"], false);
+}
