@@ -93,7 +93,7 @@ fn what_is_wrong_is_answered_with_what_would_be_right() {
         ("/v1/coverage?cell_m=0.02&headings=360", 400, "at most 1000000 are counted"),
         ("/v1/coverage?cell=1", 400, "unknown: there are cell_m, headings"),
         ("/v1/info?x=1", 400, "x: unknown"),
-        ("/", 404, "there are /v1/view"),
+        ("/v2", 404, "there are /v1/view"),
         ("/../../../etc/passwd", 404, "there is no such path"),
         ("/images/0.png", 404, "there is no such path"),
         ("/v1/views", 405, "POST"),

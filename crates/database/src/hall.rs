@@ -11,7 +11,7 @@ use realitysim_geometry::{Field, FieldDimensions, Lens};
 use realitysim_views::{Camera, Hall, HallImage, Raster, Scenery, World, fit_hall, mark_moving};
 
 /// Number of images that are looked at, spread evenly over the source.
-const SAMPLED_IMAGES: usize = 60;
+const SAMPLED_IMAGES: usize = 36;
 /// Distances of one plane that differ by no more than this share are of the same hall.
 const SAME_PLANE_SHARE: f64 = 0.1;
 /// Directions of walls that differ by no more than this, in radians, are of the same hall.
