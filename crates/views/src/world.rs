@@ -30,7 +30,7 @@ pub enum Surface {
     Ground,
     /// A post or crossbar.
     Goal,
-    /// The hall beyond the ground: floor, wall or ceiling. A plane that is not known is infinitely far, so that only rotation matters.
+    /// The hall beyond the ground: floor, wall or ceiling. A wall or ceiling that is not known is infinitely far: only rotation matters.
     Far,
 }
 
