@@ -51,6 +51,7 @@ mod tag;
 mod teams;
 mod thinning;
 mod topics;
+mod trainers;
 mod truth;
 mod turf;
 mod usage;

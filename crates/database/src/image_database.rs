@@ -13,7 +13,7 @@ use super::hall;
 use super::index::{Index, Neighbour};
 use super::kd_tree::Metric;
 use super::masks::Masks;
-use super::pixels::colours;
+use super::pixels::{colours, ending, png_of};
 use super::record::{Form, Record};
 use super::source_selection::{Exclusions, choose};
 use realitysim_config::ViewsSettings;
@@ -334,10 +334,30 @@ impl ImageDatabase {
             return Ok(image);
         }
         let record = self.index.record(number);
-        let bytes = bytes_of(&self.catalogue, &record).map_err(|(path, what)| format!("{}: {what}", path.display()))?;
-        let image = Arc::new(self.decode(&record, &bytes)?);
+        let image = Arc::new(self.decode(&record, &self.bytes(&record)?)?);
         self.decoded().put(number, &image);
         Ok(image)
+    }
+
+    /// The ending of an image's file ([`Self::file_of`]): `jpg` or `png`. The error names the file that cannot be read.
+    pub fn ending_of(&self, record: &Record) -> Result<&'static str, String> {
+        match record.form {
+            Form::RosImage => Ok("png"),
+            Form::File => Ok(ending(&self.bytes(record)?)),
+        }
+    }
+
+    /// An image as a file: its bytes as they are stored, or a PNG of a raw image. The error names the file that cannot be read.
+    pub fn file_of(&self, record: &Record) -> Result<Vec<u8>, String> {
+        let bytes = self.bytes(record)?;
+        match record.form {
+            Form::File => Ok(bytes),
+            Form::RosImage => png_of(&colours(&bytes, record.form)?),
+        }
+    }
+
+    fn bytes(&self, record: &Record) -> Result<Vec<u8>, String> {
+        bytes_of(&self.catalogue, record).map_err(|(path, what)| format!("{}: {what}", path.display()))
     }
 
     fn decode(&self, record: &Record, bytes: &[u8]) -> Result<Pyramid, String> {
