@@ -27,6 +27,7 @@ mod hostile_database;
 mod import;
 mod independent;
 mod interrupted;
+mod labels;
 mod lenses;
 mod look;
 mod losses;

@@ -37,6 +37,8 @@ pub struct ImageDatabase {
     cameras: Vec<Arc<Camera>>,
     /// For each source, whether each pixel shows the world.
     shows: Vec<Vec<bool>>,
+    /// For each source, whether each pixel may show the robot's own body.
+    bodies: Vec<Vec<bool>>,
     decoded: Mutex<Decoded>,
 }
 
@@ -95,7 +97,7 @@ impl ImageDatabase {
         let field = Field::new(catalogue.field.clone())
             .map_err(|source| DatabaseError::Field { path: folder.to_owned(), source })?;
         let mut by_lens: Vec<(&LensParameters, Arc<Camera>)> = Vec::new();
-        let (mut cameras, mut shows) = (Vec::new(), Vec::new());
+        let (mut cameras, mut shows, mut bodies) = (Vec::new(), Vec::new(), Vec::new());
         for source in &catalogue.sources {
             let known = by_lens.iter().find(|(lens, _)| **lens == source.lens).map(|(_, camera)| Arc::clone(camera));
             let camera = match known {
@@ -109,6 +111,7 @@ impl ImageDatabase {
                 }
             };
             shows.push(shown_by(folder, source, &camera)?);
+            bodies.push(body_of(folder, source)?);
             cameras.push(camera);
         }
         let any_goals = catalogue.sources.iter().any(|source| source.goals);
@@ -116,7 +119,18 @@ impl ImageDatabase {
         let world = world.with_hall(hall::common(&catalogue.sources));
         let decoded = Mutex::new(Decoded::new(settings.cache_mb << 20));
         let settings = settings.clone();
-        Ok(Self { folder: folder.to_owned(), catalogue, index, settings, field, world, cameras, shows, decoded })
+        Ok(Self {
+            folder: folder.to_owned(),
+            catalogue,
+            index,
+            settings,
+            field,
+            world,
+            cameras,
+            shows,
+            bodies,
+            decoded,
+        })
     }
 
     /// Opens the database again if it has been changed since this one was opened.
@@ -155,6 +169,11 @@ impl ImageDatabase {
 
     pub(super) fn camera_of(&self, source: u32) -> Option<&Arc<Camera>> {
         self.cameras.get(source as usize)
+    }
+
+    /// For each pixel of a source's images, row by row: whether it may show the robot's own body. Empty if none does.
+    pub fn body(&self, source: u32) -> &[bool] {
+        self.bodies.get(source as usize).map_or(&[], Vec::as_slice)
     }
 
     /// Bytes of the decoded images in memory.
@@ -392,6 +411,15 @@ pub(super) fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Resul
     let Masks { dark, bodies } = Masks::read(folder, source)?;
     let lit = without_rim(&shown(dark.as_slice()), width);
     Ok(lit.iter().zip(shown(&bodies)).map(|(lit, body)| *lit && body).collect())
+}
+
+/// Whether each pixel of a source's images may show the robot's own body; empty if it has no mask of it.
+fn body_of(folder: &Path, source: &Source) -> Result<Vec<bool>, DatabaseError> {
+    let Masks { bodies, .. } = Masks::read(folder, source)?;
+    let (width, height) = (source.lens.width as usize, source.lens.height as usize);
+    let pixel = |index: usize| DVec2::new((index % width) as f64, (index / width) as f64);
+    let all = (0..if bodies.is_empty() { 0 } else { width * height }).map(pixel);
+    Ok(all.map(|pixel| bodies.iter().any(|body| body.hides(pixel))).collect())
 }
 
 /// Excludes the pixels within [`RIM_PX`] of a pixel that shows nothing. The border of the image is not a rim.

@@ -1,7 +1,7 @@
 //! Command `realitysim export`: writes tags or frames in formats of other programs, and as pictures for people.
 
 mod foxglove;
-mod frames;
+pub(super) mod frames;
 mod images;
 mod overlays;
 mod route;

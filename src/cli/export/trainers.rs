@@ -1,19 +1,17 @@
 //! A training set for programs that learn a scene (3D Gaussian splatting, NeRF), of a capture or of a database.
 
-use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
 use serde::Serialize;
-use tempfile::TempDir;
 
+use super::super::opened_database::OpenedDatabase;
 use super::super::output;
 use super::super::paths::{make_folder, write, write_bytes};
 use super::super::settings::UsageError;
-use super::frames::own_folder;
-use crate::config::Settings;
+use super::frames::{clear_folder, own_folder};
+use crate::database::ImageDatabase;
 use crate::database::training_set::{TrainingImage, TrainingSet, colmap, nerfstudio};
-use crate::database::{self, Catalogue, ImageDatabase, TagLimits};
 use crate::recording::Loss;
 use crate::views::SURE;
 
@@ -35,7 +33,7 @@ pub(super) fn training_set(
     folder: &Path,
 ) -> anyhow::Result<(usize, Vec<Loss>)> {
     own_folder(folder)?;
-    let written = open(input, max_sigma_m).and_then(|opened| {
+    let written = OpenedDatabase::of(input, max_sigma_m).and_then(|opened| {
         let (written, mut lost) = write_set(&opened.database, trainer, max_sigma_m, folder)?;
         for loss in opened.lost {
             loss.join(&mut lost);
@@ -43,40 +41,9 @@ pub(super) fn training_set(
         Ok((written, lost))
     });
     if written.is_err() {
-        clear(folder);
+        clear_folder(folder);
     }
     written
-}
-
-/// A database to export, and what was lost when it was made.
-struct Opened {
-    database: ImageDatabase,
-    lost: Vec<Loss>,
-    /// Holds the database of a single capture, and is removed at the end.
-    _made: Option<TempDir>,
-}
-
-/// Opens a database, or makes one of a capture.
-fn open(input: &Path, max_sigma_m: f64) -> anyhow::Result<Opened> {
-    let settings = Settings::default().views;
-    if Catalogue::read(input).is_ok() {
-        return Ok(Opened { database: ImageDatabase::open(input, &settings)?, lost: Vec::new(), _made: None });
-    }
-    let made = tempfile::tempdir()?;
-    let limits = TagLimits { sigma_m: max_sigma_m, ..TagLimits::default() };
-    let mut progress = output::Progress::new("reading");
-    let added = database::add(made.path(), &[input.to_owned()], None, limits, &mut |done| progress.set(done, None))?;
-    progress.finish();
-    let database = ImageDatabase::open(made.path(), &settings)?;
-    Ok(Opened { database, lost: added.losses, _made: Some(made) })
-}
-
-/// Removes what a failed export has written, so that nobody takes it for a whole one.
-fn clear(folder: &Path) {
-    for entry in fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
-        let path = entry.path();
-        let _ = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
-    }
 }
 
 fn write_set(
