@@ -20,7 +20,7 @@ use realitysim_config::ViewsSettings;
 use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
 use realitysim_views::{
     Camera, Candidate, CoverageMask, Method, Provenance, Pyramid, Raster, Request, Scenery, SynthesizedView,
-    ViewSettings, Vignetting, World, check_pose, mark_moving, view,
+    ViewSettings, Vignetting, World, check_pose, depth_m, mark_moving, view,
 };
 use realitysim_vision::BodyMask;
 
@@ -68,6 +68,19 @@ pub struct ViewResult {
     pub stored: Option<Vec<u8>>,
     /// Files of images that were selected but could not be read, with the reason. Other images took their place.
     pub unreadable: Vec<String>,
+}
+
+impl ViewResult {
+    /// Depth of the view in `world`, metres along the ray of each pixel as [`depth_m`] describes it.
+    ///
+    /// `figures_m` are distances of figures that were drawn into the view, infinite where there is none; it may be empty.
+    pub fn depth_m(&self, world: &World, figures_m: &[f32]) -> Vec<f32> {
+        let mut depths = depth_m(&self.camera, &self.answer.map_from_link, world);
+        for (depth, figure) in depths.iter_mut().zip(figures_m).filter(|(depth, _)| !depth.is_nan()) {
+            *depth = depth.min(*figure);
+        }
+        depths
+    }
 }
 
 /// Width of the band at the edge of the lens's circle that lens and codec have mixed with black, pixels.
