@@ -90,7 +90,7 @@ pub struct ViewArguments {
     /// Nearest image, the paper's view and the exact one beside each other, with mask and numbers
     #[arg(long)]
     side_by_side: bool,
-    /// Write the mask: white is known geometry, gray beyond the ground (the hall, and what stands before it), black shows nothing
+    /// Write the mask: white is known geometry, gray beyond the ground and recorded figures, black shows nothing
     #[arg(long, value_name = "PNG")]
     mask: Option<PathBuf>,
     /// Write the depth along each pixel's ray: .npy (metres; inf is far or unknown) or .png (millimetres, 16 bits; 0 is none)

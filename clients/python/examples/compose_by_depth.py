@@ -40,7 +40,7 @@ def main():
 
 def rays_of_pinhole(lens):
     """Rays of all pixels with z = 1: x right, y down, z along the optical axis."""
-    if lens["model"] != "plumb_bob" or any(lens["d"]):
+    if any(lens["model"].get("plumb_bob", {"d": [1.0]})["d"]):
         sys.exit(f"this renderer has no lens distortion: serve a lens without, not {lens}")
     u, v = np.meshgrid(np.arange(lens["width"]), np.arange(lens["height"]))
     return np.stack([(u - lens["cx"]) / lens["fx"], (v - lens["cy"]) / lens["fy"], np.ones(u.shape)], axis=2)

@@ -13,6 +13,7 @@ use super::hall;
 use super::index::{Index, Neighbour};
 use super::kd_tree::Metric;
 use super::masks::Masks;
+use super::moved::MovedBlocks;
 use super::pixels::colours;
 use super::record::{Form, Record};
 use super::source_selection::{Exclusions, choose};
@@ -37,6 +38,8 @@ pub struct ImageDatabase {
     cameras: Vec<Arc<Camera>>,
     /// For each source, whether each pixel shows the world.
     shows: Vec<Vec<bool>>,
+    /// For each source, what stands before the hall in its images, if that is known.
+    moved: Vec<Option<MovedBlocks>>,
     decoded: Mutex<Decoded>,
 }
 
@@ -108,7 +111,7 @@ impl ImageDatabase {
         let field = Field::new(catalogue.field.clone())
             .map_err(|source| DatabaseError::Field { path: folder.to_owned(), source })?;
         let mut by_lens: Vec<(&LensParameters, Arc<Camera>)> = Vec::new();
-        let (mut cameras, mut shows) = (Vec::new(), Vec::new());
+        let (mut cameras, mut shows, mut moved) = (Vec::new(), Vec::new(), Vec::new());
         for source in &catalogue.sources {
             let known = by_lens.iter().find(|(lens, _)| **lens == source.lens).map(|(_, camera)| Arc::clone(camera));
             let camera = match known {
@@ -123,13 +126,14 @@ impl ImageDatabase {
             };
             shows.push(shown_by(folder, source, &camera)?);
             cameras.push(camera);
+            moved.push(MovedBlocks::open(folder, source)?);
         }
         let any_goals = catalogue.sources.iter().any(|source| source.goals);
         let world = if settings.goals && any_goals { World::new(&field) } else { World::without_goals(&field) };
         let world = world.with_hall(hall::common(&catalogue.sources));
         let decoded = Mutex::new(Decoded::new(settings.cache_mb << 20));
         let settings = settings.clone();
-        Ok(Self { folder: folder.to_owned(), catalogue, index, settings, field, world, cameras, shows, decoded })
+        Ok(Self { folder: folder.to_owned(), catalogue, index, settings, field, world, cameras, shows, moved, decoded })
     }
 
     /// Opens the database again if it has been changed since this one was opened.
@@ -362,7 +366,11 @@ impl ImageDatabase {
         if let Some(camera) = self.camera(record).filter(|_| self.settings.mask_moving) {
             let (map_from_link, tag) = (record.pose(), record.tag());
             let (field, world) = (&self.field, &self.world);
-            mark_moving(&mut raster, &Scenery { camera, map_from_link, tag, field, world });
+            let moved = self.moved.get(record.source as usize).and_then(Option::as_ref);
+            let moved = moved.map(|moved| moved.read(record)).transpose().map_err(|error| error.to_string())?.flatten();
+            let moved = moved.as_deref();
+            let figures = mark_moving(&mut raster, &Scenery { camera, map_from_link, tag, field, world, moved });
+            return Ok(Pyramid::with_figures(raster, figures));
         }
         Ok(Pyramid::new(raster))
     }
