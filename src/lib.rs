@@ -9,6 +9,7 @@ pub use realitysim_database as database;
 pub use realitysim_devices as devices;
 pub use realitysim_evaluation as evaluation;
 pub use realitysim_geometry as geometry;
+pub use realitysim_labels as labels;
 pub use realitysim_localization as localization;
 pub use realitysim_log_input as log_input;
 pub use realitysim_recording as recording;

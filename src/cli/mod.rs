@@ -17,9 +17,11 @@ mod import;
 mod input_files;
 mod install;
 mod junit;
+mod labels;
 mod live;
 mod log;
 mod measure;
+mod opened_database;
 mod output;
 mod paths;
 mod photo;
@@ -85,6 +87,7 @@ enum Command {
     Log(log::LogArguments),
     Import(Box<import::ImportArguments>),
     Export(export::ExportArguments),
+    Labels(labels::LabelsArguments),
     // Captures at home.
     Sync(Box<sync::SyncArguments>),
     Sessions(sessions::SessionsArguments),
@@ -135,6 +138,7 @@ pub fn run() -> ExitCode {
         Command::Log(arguments) => log::run(&arguments, json),
         Command::Import(arguments) => import::run(&arguments, json),
         Command::Export(arguments) => export::run(&arguments, json),
+        Command::Labels(arguments) => labels::run(&arguments, json),
         Command::Sync(arguments) => sync::run(&arguments, json),
         Command::Sessions(arguments) => sessions::run(&arguments, json),
         Command::Db(arguments) => db::run(&arguments, json),

@@ -67,7 +67,7 @@ fn random_bytes(mut state: u64) -> impl Iterator<Item = u8> {
 /// What a camera with a broken cable sends, from the first frame on and in the middle of a walk.
 #[test]
 fn pictures_of_noise_give_no_valid_tag() {
-    for (quality, channels, first) in [(90, 3, 0), (25, 1, 0), (90, 3, 20)] {
+    for (quality, channels, first) in [(90, 3, 0), (25, 1, 20)] {
         let mut index = 0;
         let messages = changed::<CompressedImage>(&walk().messages, IMAGE, |image| {
             index += 1;

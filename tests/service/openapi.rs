@@ -157,7 +157,7 @@ fn what_it_allows_is_not_refused() {
     let lenses =
         get(served.address, "/v1/info").json()["lenses"].as_object().expect("lenses").keys().cloned().collect();
     let lenses: Vec<String> = lenses;
-    let mut runner = TestRunner::new(Config { cases: 20, failure_persistence: None, ..Config::default() });
+    let mut runner = TestRunner::new(Config { cases: 10, failure_persistence: None, ..Config::default() });
     let view = view_of(&document, &lenses);
     let asked = runner.run(&(view.clone(), view, 1..4u32), |(first, second, count)| {
         let mut query = form_urlencoded::Serializer::new(String::new());

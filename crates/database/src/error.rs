@@ -118,6 +118,9 @@ pub enum DatabaseError {
     /// None of the sources has a usable image; the losses say why.
     #[error("nothing was added: {}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
     Nothing(Vec<Loss>),
+    /// No training set can be made of the images.
+    #[error("{0}")]
+    Training(String),
     /// No view can be made of the images.
     #[error(transparent)]
     View(#[from] ViewError),

@@ -14,7 +14,7 @@ use super::index::{Index, Neighbour};
 use super::kd_tree::Metric;
 use super::masks::Masks;
 use super::moved::MovedBlocks;
-use super::pixels::colours;
+use super::pixels::{colours, ending, png_of};
 use super::record::{Form, Record};
 use super::source_selection::{Exclusions, choose};
 use realitysim_config::ViewsSettings;
@@ -40,6 +40,8 @@ pub struct ImageDatabase {
     shows: Vec<Vec<bool>>,
     /// For each source, what stands before the hall in its images, if that is known.
     moved: Vec<Option<MovedBlocks>>,
+    /// For each source, whether each pixel may show the robot's own body.
+    bodies: Vec<Vec<bool>>,
     decoded: Mutex<Decoded>,
 }
 
@@ -111,7 +113,7 @@ impl ImageDatabase {
         let field = Field::new(catalogue.field.clone())
             .map_err(|source| DatabaseError::Field { path: folder.to_owned(), source })?;
         let mut by_lens: Vec<(&LensParameters, Arc<Camera>)> = Vec::new();
-        let (mut cameras, mut shows, mut moved) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut cameras, mut shows, mut bodies, mut moved) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for source in &catalogue.sources {
             let known = by_lens.iter().find(|(lens, _)| **lens == source.lens).map(|(_, camera)| Arc::clone(camera));
             let camera = match known {
@@ -125,6 +127,7 @@ impl ImageDatabase {
                 }
             };
             shows.push(shown_by(folder, source, &camera)?);
+            bodies.push(body_of(folder, source)?);
             cameras.push(camera);
             moved.push(MovedBlocks::open(folder, source)?);
         }
@@ -133,7 +136,19 @@ impl ImageDatabase {
         let world = world.with_hall(hall::common(&catalogue.sources));
         let decoded = Mutex::new(Decoded::new(settings.cache_mb << 20));
         let settings = settings.clone();
-        Ok(Self { folder: folder.to_owned(), catalogue, index, settings, field, world, cameras, shows, moved, decoded })
+        Ok(Self {
+            folder: folder.to_owned(),
+            catalogue,
+            index,
+            settings,
+            field,
+            world,
+            cameras,
+            shows,
+            bodies,
+            moved,
+            decoded,
+        })
     }
 
     /// Opens the database again if it has been changed since this one was opened.
@@ -172,6 +187,11 @@ impl ImageDatabase {
 
     pub(super) fn camera_of(&self, source: u32) -> Option<&Arc<Camera>> {
         self.cameras.get(source as usize)
+    }
+
+    /// For each pixel of a source's images, row by row: whether it may show the robot's own body. Empty if none does.
+    pub fn body(&self, source: u32) -> &[bool] {
+        self.bodies.get(source as usize).map_or(&[], Vec::as_slice)
     }
 
     /// Bytes of the decoded images in memory.
@@ -351,10 +371,30 @@ impl ImageDatabase {
             return Ok(image);
         }
         let record = self.index.record(number);
-        let bytes = bytes_of(&self.catalogue, &record).map_err(|(path, what)| format!("{}: {what}", path.display()))?;
-        let image = Arc::new(self.decode(&record, &bytes)?);
+        let image = Arc::new(self.decode(&record, &self.bytes(&record)?)?);
         self.decoded().put(number, &image);
         Ok(image)
+    }
+
+    /// The ending of an image's file ([`Self::file_of`]): `jpg` or `png`. The error names the file that cannot be read.
+    pub fn ending_of(&self, record: &Record) -> Result<&'static str, String> {
+        match record.form {
+            Form::RosImage => Ok("png"),
+            Form::File => Ok(ending(&self.bytes(record)?)),
+        }
+    }
+
+    /// An image as a file: its bytes as they are stored, or a PNG of a raw image. The error names the file that cannot be read.
+    pub fn file_of(&self, record: &Record) -> Result<Vec<u8>, String> {
+        let bytes = self.bytes(record)?;
+        match record.form {
+            Form::File => Ok(bytes),
+            Form::RosImage => png_of(&colours(&bytes, record.form)?),
+        }
+    }
+
+    fn bytes(&self, record: &Record) -> Result<Vec<u8>, String> {
+        bytes_of(&self.catalogue, record).map_err(|(path, what)| format!("{}: {what}", path.display()))
     }
 
     fn decode(&self, record: &Record, bytes: &[u8]) -> Result<Pyramid, String> {
@@ -393,6 +433,15 @@ pub(super) fn shown_by(folder: &Path, source: &Source, camera: &Camera) -> Resul
     let Masks { dark, bodies } = Masks::read(folder, source)?;
     let lit = without_rim(&shown(dark.as_slice()), width);
     Ok(lit.iter().zip(shown(&bodies)).map(|(lit, body)| *lit && body).collect())
+}
+
+/// Whether each pixel of a source's images may show the robot's own body; empty if it has no mask of it.
+fn body_of(folder: &Path, source: &Source) -> Result<Vec<bool>, DatabaseError> {
+    let Masks { bodies, .. } = Masks::read(folder, source)?;
+    let (width, height) = (source.lens.width as usize, source.lens.height as usize);
+    let pixel = |index: usize| DVec2::new((index % width) as f64, (index / width) as f64);
+    let all = (0..if bodies.is_empty() { 0 } else { width * height }).map(pixel);
+    Ok(all.map(|pixel| bodies.iter().any(|body| body.hides(pixel))).collect())
 }
 
 /// Excludes the pixels within [`RIM_PX`] of a pixel that shows nothing. The border of the image is not a rim.

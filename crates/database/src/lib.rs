@@ -3,7 +3,7 @@
 //! Images stay where they were recorded, in captures or folders; the database holds an [`Index`] of their poses and a
 //! [`Catalogue`] of their sources. [`add`], [`remove`], [`rebuild`] and [`verify`] maintain it, also while others read it.
 //! [`ImageDatabase`] answers requests: it selects images, decodes them, and has [`realitysim_views`] make the view.
-//! [`leave_one_out`] measures the quality of the views, [`coverage`] shows the poses that images exist of. The formats of the
+//! [`training_set`] prepares images for programs that learn a scene. [`leave_one_out`] measures the quality of the views, [`coverage`] shows the poses that images exist of. The formats of the
 //! files are described in docs/reference/formats.md.
 //!
 //! This example makes a database of one image and asks for the view at that image's pose:
@@ -60,6 +60,7 @@ mod pixels;
 mod record;
 mod source_selection;
 mod sources;
+pub mod training_set;
 mod vignetting;
 
 pub use build::{Added, Checked, Stats, add, rebuild, remove, stats, verify};
@@ -71,4 +72,4 @@ pub use index::{Index, Neighbour, write_index};
 pub use kd_tree::Metric;
 pub use leave_one_out::leave_one_out;
 pub use record::Record;
-pub use sources::{FIELD_FILE, POSES_HEAD, SIGMAS_HEAD};
+pub use sources::{FIELD_FILE, POSES_HEAD, SIGMAS_HEAD, covariances};

@@ -3,7 +3,7 @@
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use image::{DynamicImage, ImageDecoder};
+use image::{DynamicImage, ImageDecoder, ImageEncoder};
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
@@ -37,6 +37,24 @@ pub(super) fn read_bytes(path: &Path, offset: u64, length: u32) -> io::Result<Ve
     let mut bytes = Vec::new();
     file.take(u64::from(length)).read_to_end(&mut bytes)?;
     if bytes.len() == length as usize { Ok(bytes) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
+}
+
+/// The usual ending of a stored file's name: `png` or `jpg`.
+pub(super) fn ending(bytes: &[u8]) -> &'static str {
+    if bytes.starts_with(PNG_MAGIC) { "png" } else { "jpg" }
+}
+
+/// What a PNG begins with.
+const PNG_MAGIC: &[u8] = b"\x89PNG";
+
+/// The image as a PNG.
+pub(super) fn png_of(colours: &Colours) -> Result<Vec<u8>, String> {
+    let mut bytes = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+    let (width, height) = (colours.width as u32, colours.height as u32);
+    let written = encoder.write_image(&colours.rgb, width, height, image::ExtendedColorType::Rgb8);
+    written.map_err(|error| error.to_string())?;
+    Ok(bytes)
 }
 
 /// Decodes an image. The error says what is wrong with the bytes.

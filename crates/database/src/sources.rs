@@ -89,20 +89,7 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
         return Err(DatabaseError::Source { path, what: what.to_owned() });
     }
     let info = read_info(folder)?;
-    let refined = match refined_info(&path) {
-        // Refined tags are used only if they fit held-out lines better than the recorded ones.
-        Ok(refined) => refined.filter(RefinedInfo::is_better),
-        Err(error) => return Err(DatabaseError::Source { path, what: error.to_string() }),
-    };
-    let refined_folder = folder.join(REFINED_FOLDER);
-    let tags_from = if refined.is_some() { &refined_folder } else { &path };
-    let Readout { found: tags, mut losses, .. } = match read_tags(tags_from) {
-        // The camera may have sent nothing during this segment.
-        Err(ReadoutError::NoMessages { loss: None, .. }) => {
-            Readout { found: Vec::new(), losses: Vec::new(), warnings: Vec::new() }
-        }
-        tags => tags?,
-    };
+    let (refined, Readout { found: tags, mut losses, .. }) = tags_of(&path)?;
     let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
     let is_somewhere = |tag: &&FrameTag| Isometry::from(tag.pose.pose).is_finite();
     let (mut ambiguous, mut imprecise) = (0, 0);
@@ -197,6 +184,37 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
     let bodies = info.body_masks.iter().filter_map(|runs| BodyMask::from_runs(size[0], size[1], runs)).collect();
     let assumed = without_sigmas(&records);
     Ok(Read { source, records, field: Some(info.field), ambiguous, imprecise, assumed, losses, empty, lit, bodies })
+}
+
+/// The tags by which the images of a capture, or of one of its segments, are added, and the refined lens if they are refined ones.
+fn tags_of(path: &Path) -> Result<(Option<RefinedInfo>, Readout<FrameTag>), DatabaseError> {
+    let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
+    let refined = match refined_info(path) {
+        // Refined tags are used only if they fit held-out lines better than the recorded ones.
+        Ok(refined) => refined.filter(RefinedInfo::is_better),
+        Err(error) => return Err(DatabaseError::Source { path: path.to_owned(), what: error.to_string() }),
+    };
+    let refined_folder = folder.join(REFINED_FOLDER);
+    let tags_from = if refined.is_some() { &refined_folder } else { path };
+    let tags = match read_tags(tags_from) {
+        // The camera may have sent nothing during this segment.
+        Err(ReadoutError::NoMessages { loss: None, .. }) => {
+            Readout { found: Vec::new(), losses: Vec::new(), warnings: Vec::new() }
+        }
+        tags => tags?,
+    };
+    Ok((refined, tags))
+}
+
+/// The covariances of the poses of a capture's images by their stamps in nanoseconds, each 6 x 6 row by row: x, y, z in metres and the
+/// rotations about the fixed axes x, y, z in radians. A folder of images has none.
+pub fn covariances(source: &Source) -> Result<HashMap<i64, [f64; 36]>, DatabaseError> {
+    if source.kind == SourceKind::Folder {
+        return Ok(HashMap::new());
+    }
+    let (_, tags) = tags_of(&source.path)?;
+    let valid = tags.found.iter().filter(|tag| tag.valid);
+    Ok(valid.map(|tag| (tag.header.stamp.to_nanoseconds(), tag.pose.covariance)).collect())
 }
 
 /// Number of images whose pose has no standard deviations.

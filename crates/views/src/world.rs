@@ -75,6 +75,11 @@ impl World {
         Self { bars: Vec::new(), ..Self::new(field) }
     }
 
+    /// Whether there are goals.
+    pub fn has_goals(&self) -> bool {
+        !self.bars.is_empty()
+    }
+
     /// Half extents of the area that counts as ground, metres.
     pub fn ground_half(&self) -> DVec2 {
         self.ground_half

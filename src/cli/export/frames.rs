@@ -77,13 +77,21 @@ fn by_stamp(tags: &[FrameTag]) -> HashMap<i64, VecDeque<&FrameTag>> {
 }
 
 /// Makes the folder of an export, which must be empty: files of another export would mix with those of this one.
-pub(super) fn own_folder(folder: &Path) -> anyhow::Result<()> {
+pub(in super::super) fn own_folder(folder: &Path) -> anyhow::Result<()> {
     make_folder(folder)?;
     if fs::read_dir(folder).map_err(|error| cannot_write(folder, error))?.next().is_some() {
         let what = "is not empty, and an export needs a folder of its own: name another, or remove what is in it first";
         return Err(UsageError(format!("{}: {what}", folder.display())).into());
     }
     Ok(())
+}
+
+/// Removes what a failed export has written into a folder of its own, so that nobody takes it for a whole one.
+pub(in super::super) fn clear_folder(folder: &Path) {
+    for entry in fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
+        let path = entry.path();
+        let _ = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+    }
 }
 
 /// Returns the topic that the session's settings name; without it, the only topic of images.

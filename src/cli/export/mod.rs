@@ -1,10 +1,11 @@
 //! Command `realitysim export`: writes tags or frames in formats of other programs, and as pictures for people.
 
 mod foxglove;
-mod frames;
+pub(super) mod frames;
 mod images;
 mod overlays;
 mod route;
+mod trainers;
 mod tum;
 mod video;
 
@@ -14,8 +15,10 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::paths::check_output;
+use super::values::number;
 use super::{Outcome, output};
 use crate::recording::{Loss, Readout, read_tags};
+use trainers::Trainer;
 
 /// Write a capture's tags or frames in a form that other programs read, or as pictures
 ///
@@ -28,6 +31,9 @@ use crate::recording::{Loss, Readout, read_tags};
 /// video: the same pictures as a video, made by ffmpeg, in the format of the output's name.
 /// foxglove: a folder with a log for Foxglove, Lichtblick, Rerun and RViz, with the camera on the field in 3D and the lines of each tag
 /// over its image, and with a layout for the first two.
+/// colmap, nerfstudio: a folder from which a program learns the scene (3D Gaussian splatting, NeRF): images, masks of what stands still,
+/// lens, poses, seed points and a list of images to be held out; of one image for each 5 cm and 3 degrees. A database may be named
+/// instead of a capture.
 /// route: a picture of the field with the route, coloured by why tags are invalid, and ellipses.
 ///
 /// What a damaged or incomplete capture no longer holds is named, and the rest written (exit code 3).
@@ -38,17 +44,20 @@ use crate::recording::{Loss, Readout, read_tags};
     "\n  realitysim export captures/2026-11-21T10-00-00Z-robot --to video -o walk.mp4",
 ))]
 pub struct ExportArguments {
-    /// A capture's folder, or one of its segments
+    /// A capture's folder, or one of its segments; of colmap and nerfstudio also a database's folder
     capture: PathBuf,
     /// What to write
     #[arg(long)]
     to: Format,
-    /// File (tum, video, route) or folder (images, overlays, foxglove) to write, outside of any capture
+    /// File (tum, video, route) or folder (the others) to write, outside of any capture
     #[arg(short, long)]
     output: PathBuf,
+    /// Of colmap and nerfstudio: only images whose place is known this well, standard deviation, 0.001 to 1
+    #[arg(long, value_name = "M", default_value_t = 0.01, value_parser = number(0.001..=1.0))]
+    max_sigma: f64,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Format {
     Tum,
     Images,
@@ -56,6 +65,8 @@ enum Format {
     Video,
     Route,
     Foxglove,
+    Colmap,
+    Nerfstudio,
 }
 
 #[derive(Serialize)]
@@ -66,17 +77,21 @@ struct Report {
 }
 
 pub fn run(arguments: &ExportArguments, json: bool) -> anyhow::Result<Outcome> {
-    let ExportArguments { capture, output, to } = arguments;
+    let ExportArguments { capture, output, to, max_sigma } = arguments;
     check_output(output, &[capture])?;
-    let Readout { found: tags, losses, .. } = read_tags(capture)?;
+    let tags = || read_tags(capture);
     let (written, lost) = match to {
-        Format::Tum => (tum::tum(&tags, output)?, losses),
-        Format::Images => images::images(capture, &tags, output)?,
-        Format::Overlays => overlays::overlays(capture, &tags, output)?,
-        Format::Video => video::video(capture, &tags, output)?,
-        Format::Foxglove => foxglove::foxglove(capture, &tags, output)?,
-        Format::Route => (route::route(capture, &tags, output)?, losses),
-    };
+        Format::Tum => tags().map(|Readout { found, losses, .. }| Ok((tum::tum(&found, output)?, losses)))?,
+        Format::Route => {
+            tags().map(|Readout { found, losses, .. }| Ok((route::route(capture, &found, output)?, losses)))?
+        }
+        Format::Images => images::images(capture, &tags()?.found, output),
+        Format::Overlays => overlays::overlays(capture, &tags()?.found, output),
+        Format::Video => video::video(capture, &tags()?.found, output),
+        Format::Foxglove => foxglove::foxglove(capture, &tags()?.found, output),
+        Format::Colmap => trainers::training_set(capture, Trainer::Colmap, *max_sigma, output),
+        Format::Nerfstudio => trainers::training_set(capture, Trainer::Nerfstudio, *max_sigma, output),
+    }?;
     output::losses(&lost);
     let report = Report { output: output.clone(), written, lost };
     if json {

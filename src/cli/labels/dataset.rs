@@ -1,0 +1,312 @@
+//! Labels all images of a database on all processors, and writes the files in their order.
+
+use std::collections::HashMap;
+use std::fmt::Write;
+use std::path::Path;
+use std::thread;
+use std::time::Instant;
+
+use anyhow::Context;
+use image::{GrayImage, RgbImage};
+
+use super::super::opened_database::OpenedDatabase;
+use super::super::output;
+use super::super::paths::{make_folder, write, write_bytes};
+use super::preview::{PREVIEWS, preview, sheet};
+use super::{Classes, Format, LabelsArguments, Report};
+use crate::database::{self, DatabaseError, ImageDatabase, Record};
+use crate::labels::coco::{Coco, CocoImage};
+use crate::labels::yolo::{self, BOOSTER_CLASSES, ClassList, LANDMARK_CLASSES};
+use crate::labels::{Class, Labeller, PoseCovariance, PosedImage, Visibility};
+use crate::recording::Loss;
+
+/// Images that one thread labels before the results are written.
+const BATCH: usize = 8;
+/// Every n-th image is for the test of a detector.
+const HELD_OUT_EVERY: usize = 8;
+/// Folder of the images, from which YOLO's programs find the labels.
+const IMAGES: &str = "images";
+
+/// The labels of one image.
+struct Labelled {
+    file: String,
+    coco: Option<CocoImage>,
+    /// Lines of the image in the tables of the form png.
+    keypoints: String,
+    border: String,
+    sigmas_px: Vec<f64>,
+    ignored: usize,
+    pixels: usize,
+    preview: Option<RgbImage>,
+}
+
+/// Labels the images of a database.
+pub(super) fn label_all(arguments: &LabelsArguments, opened: &OpenedDatabase) -> anyhow::Result<Report> {
+    let LabelsArguments { output: folder, max_sigma, .. } = arguments;
+    let database = &opened.database;
+    let index = database.index();
+    if index.is_empty() {
+        return Err(DatabaseError::Empty.into());
+    }
+    let chosen: Vec<(usize, Record)> =
+        index.records().enumerate().filter(|(_, record)| record.tag().position_m <= *max_sigma).collect();
+    anyhow::ensure!(
+        !chosen.is_empty(),
+        "no image's place is known to {max_sigma} m: `realitysim refine CAPTURE` makes tags better, and --max-sigma takes worse ones"
+    );
+    let job = Job::new(arguments, database)?;
+    job.make_folders()?;
+    let start = Instant::now();
+    let mut progress = output::Progress::new("labelling");
+    let (mut done, mut unreadable) = (Vec::new(), Vec::new());
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    let every = chosen.len().div_ceil(PREVIEWS).max(1);
+    for (batch, part) in chosen.chunks(BATCH * threads).enumerate() {
+        progress.set((batch * BATCH * threads) as u64, Some(chosen.len() as u64));
+        let first = batch * BATCH * threads;
+        let label = |(place, (number, record)): (usize, &(usize, Record))| {
+            job.label(first + place, *number, record, (first + place).is_multiple_of(every))
+        };
+        let share = part.len().div_ceil(threads);
+        let results = thread::scope(|scope| {
+            let numbered: Vec<(usize, &(usize, Record))> = part.iter().enumerate().collect();
+            let label = &label;
+            let workers: Vec<_> = numbered
+                .chunks(share)
+                .map(|own| own.to_vec())
+                .map(|own| scope.spawn(move || own.into_iter().map(label).collect::<Vec<_>>()))
+                .collect();
+            workers.into_iter().map(|worker| worker.join()).collect::<Vec<_>>()
+        });
+        for result in results {
+            let labelled = result.map_err(|_| anyhow::anyhow!("a thread that labels images has failed"))?;
+            for one in labelled {
+                match one {
+                    Ok(labelled) => done.push(labelled),
+                    Err(Failure::Unreadable(why)) => unreadable.push(Loss::new(folder, why)),
+                    Err(Failure::Output(error)) => return Err(error),
+                }
+            }
+        }
+    }
+    progress.finish();
+    let seconds = start.elapsed().as_secs_f64();
+    anyhow::ensure!(
+        !done.is_empty(),
+        "no image can be read: {}",
+        unreadable.first().map(ToString::to_string).unwrap_or_default()
+    );
+    job.write_tables(&mut done)?;
+    Ok(report(arguments, opened, &done, index.len() - chosen.len(), seconds, unreadable))
+}
+
+fn report(
+    arguments: &LabelsArguments,
+    opened: &OpenedDatabase,
+    done: &[Labelled],
+    imprecise: usize,
+    seconds: f64,
+    unreadable: Vec<Loss>,
+) -> Report {
+    let mut sigmas: Vec<f64> = done.iter().flat_map(|labelled| labelled.sigmas_px.iter().copied()).collect();
+    sigmas.sort_by(f64::total_cmp);
+    let sum = |of: fn(&Labelled) -> usize| done.iter().map(of).sum::<usize>() as f64;
+    let mut lost = opened.lost.clone();
+    lost.extend(unreadable);
+    Report {
+        output: arguments.output.clone(),
+        images: done.len(),
+        imprecise,
+        visible_landmarks: sigmas.len(),
+        sigma_px: sigmas.get(sigmas.len() / 2).copied(),
+        ignored_share: sum(|labelled| labelled.ignored) / sum(|labelled| labelled.pixels).max(1.0),
+        images_per_s: done.len() as f64 / seconds.max(1e-9),
+        lost,
+    }
+}
+
+/// Why an image has no labels.
+enum Failure {
+    /// The image cannot be read.
+    Unreadable(String),
+    /// The labels cannot be written.
+    Output(anyhow::Error),
+}
+
+/// What is the same for all images.
+struct Job<'a> {
+    database: &'a ImageDatabase,
+    labeller: Labeller,
+    /// Covariances of the poses by stamp, for each source.
+    covariances: Vec<HashMap<i64, [f64; 36]>>,
+    format: Format,
+    classes: ClassList,
+    folder: &'a Path,
+}
+
+impl<'a> Job<'a> {
+    fn new(arguments: &'a LabelsArguments, database: &'a ImageDatabase) -> anyhow::Result<Self> {
+        let labeller = Labeller::new(database.field(), database.world().has_goals());
+        let sources = database.catalogue().sources.iter();
+        let covariances = sources.map(database::covariances).collect::<Result<_, _>>()?;
+        let classes = match arguments.classes {
+            Classes::Landmarks => LANDMARK_CLASSES,
+            Classes::Booster => BOOSTER_CLASSES,
+        };
+        Ok(Self { database, labeller, covariances, format: arguments.format, classes, folder: &arguments.output })
+    }
+
+    fn make_folders(&self) -> anyhow::Result<()> {
+        let others: &[&str] = match self.format {
+            Format::Coco => &[],
+            Format::Yolo | Format::YoloSeg | Format::YoloPose => &["labels"],
+            Format::Png => &["classes"],
+        };
+        [IMAGES].iter().chain(others).try_for_each(|name| make_folder(&self.folder.join(name)))
+    }
+
+    /// Labels an image, and writes it with the files that it has alone. `place` is its number among all images that are labelled.
+    fn label(&self, place: usize, number: usize, record: &Record, previewed: bool) -> Result<Labelled, Failure> {
+        let image = self.database.image(number).map_err(Failure::Unreadable)?;
+        let file = self.database.file_of(record).map_err(Failure::Unreadable)?;
+        let ending = self.database.ending_of(record).map_err(Failure::Unreadable)?;
+        let camera =
+            self.database.camera(record).ok_or_else(|| Failure::Unreadable("an image without a lens".to_owned()))?;
+        let stem = format!("{number:06}");
+        let name = format!("{stem}.{ending}");
+        let shown = image.full().mask();
+        let posed = PosedImage {
+            camera,
+            map_from_link: record.pose(),
+            covariance: self.covariance(record),
+            shown: &shown,
+            body: self.database.body(record.source),
+        };
+        let classes = self.labeller.classes(&posed);
+        write_bytes(&self.folder.join(IMAGES).join(&name), &file).map_err(Failure::Output)?;
+        self.write_own(&stem, &posed, &classes).map_err(Failure::Output)?;
+        let keypoints = self.labeller.keypoints(&posed);
+        let visible = keypoints.iter().filter(|keypoint| keypoint.visibility == Visibility::Visible);
+        Ok(Labelled {
+            coco: (self.format == Format::Coco)
+                .then(|| CocoImage::new(&self.labeller, &posed, &classes, place + 1, &name)),
+            keypoints: self.keypoint_rows(&name, &posed),
+            border: self.border_row(&name, &posed, &classes),
+            sigmas_px: visible.map(|keypoint| keypoint.sigma_px).collect(),
+            ignored: classes
+                .iter()
+                .zip(camera.shows())
+                .filter(|(class, drawn)| **drawn && **class == Class::Ignore)
+                .count(),
+            pixels: camera.shows().iter().filter(|drawn| **drawn).count(),
+            preview: previewed.then(|| preview(&self.labeller, &posed, image.full(), &classes)),
+            file: name,
+        })
+    }
+
+    /// The covariance of the tag, or what the database knows of it.
+    fn covariance(&self, record: &Record) -> PoseCovariance {
+        let known = self.covariances.get(record.source as usize).and_then(|of_source| of_source.get(&record.stamp_ns));
+        let tag = record.tag();
+        let fallback = || PoseCovariance::isotropic(tag.position_m, tag.rotation_rad);
+        known.and_then(PoseCovariance::from_rows).unwrap_or_else(fallback)
+    }
+
+    /// Writes the files that an image has alone.
+    fn write_own(&self, stem: &str, image: &PosedImage, classes: &[Class]) -> anyhow::Result<()> {
+        let text = |text: String| write(&self.folder.join("labels").join(format!("{stem}.txt")), &text);
+        match self.format {
+            Format::Coco => Ok(()),
+            Format::Yolo => text(yolo::boxes(&self.labeller, image, self.classes)),
+            Format::YoloSeg => text(yolo::outlines(&self.labeller, image)),
+            Format::YoloPose => text(yolo::keypoints(&self.labeller, image)),
+            Format::Png => {
+                let (width, height) = (image.camera.width() as u32, image.camera.height() as u32);
+                let gray = GrayImage::from_raw(width, height, classes.iter().map(|class| *class as u8).collect());
+                let path = self.folder.join("classes").join(format!("{stem}.png"));
+                let written = gray.context("a class for each pixel")?.save(&path);
+                written.with_context(|| path.display().to_string())
+            }
+        }
+    }
+
+    fn keypoint_rows(&self, file: &str, image: &PosedImage) -> String {
+        if self.format != Format::Png {
+            return String::new();
+        }
+        let mut rows = String::new();
+        for (landmark, found) in self.labeller.landmarks().iter().zip(self.labeller.keypoints(image)) {
+            let visibility = match found.visibility {
+                Visibility::Outside => continue,
+                Visibility::Hidden => "hidden",
+                Visibility::Visible => "visible",
+            };
+            let (name, at, sigma) = (&landmark.name, found.at, found.sigma_px);
+            let _ = writeln!(rows, "{file},{name},{:.3},{:.3},{sigma:.3},{visibility}", at.x, at.y);
+        }
+        rows
+    }
+
+    fn border_row(&self, file: &str, image: &PosedImage, classes: &[Class]) -> String {
+        if self.format != Format::Png {
+            return String::new();
+        }
+        let rows: Vec<String> = self.labeller.border(image, classes).iter().map(ToString::to_string).collect();
+        format!("{file},{}\n", rows.join(","))
+    }
+
+    /// Writes what all images have together.
+    fn write_tables(&self, done: &mut [Labelled]) -> anyhow::Result<()> {
+        let folder = self.folder;
+        match self.format {
+            Format::Coco => {
+                let mut coco = Coco::new(&self.labeller);
+                done.iter_mut().filter_map(|labelled| labelled.coco.take()).for_each(|image| coco.push(image));
+                write(&folder.join("annotations.json"), &coco.text())?;
+            }
+            Format::Yolo | Format::YoloSeg | Format::YoloPose => self.write_yolo(done)?,
+            Format::Png => {
+                let rows = |of: fn(&Labelled) -> &str| done.iter().map(of).collect::<String>();
+                let keypoints = rows(|labelled| &labelled.keypoints);
+                write(&folder.join("keypoints.csv"), &format!("file,landmark,u,v,sigma_px,visibility\n{keypoints}"))?;
+                write(&folder.join("border.csv"), &rows(|labelled| &labelled.border))?;
+                let known = Class::KNOWN.iter().chain([&Class::Ignore]);
+                let names: String = known.map(|class| format!("{} {}\n", *class as u8, class.name())).collect();
+                write(&folder.join("classes.txt"), &names)?;
+            }
+        }
+        let pictures: Vec<(RgbImage, String)> =
+            done.iter_mut().filter_map(|labelled| Some((labelled.preview.take()?, labelled.file.clone()))).collect();
+        let path = folder.join("preview.jpg");
+        sheet(&pictures).save(&path).with_context(|| path.display().to_string())?;
+        Ok(())
+    }
+
+    /// Writes which images are for the training and which for the test, and what the classes and keypoints are.
+    fn write_yolo(&self, done: &[Labelled]) -> anyhow::Result<()> {
+        let list = |held_out: bool| -> String {
+            let images = done.iter().enumerate();
+            let own = images.filter(|(place, _)| (place % HELD_OUT_EVERY == HELD_OUT_EVERY / 2) == held_out);
+            own.map(|(_, labelled)| format!("./{IMAGES}/{}\n", labelled.file)).collect()
+        };
+        write(&self.folder.join("train.txt"), &list(false))?;
+        write(&self.folder.join("val.txt"), &list(true))?;
+        let names: &[&str] = match self.format {
+            Format::YoloSeg => &["line"],
+            Format::YoloPose => &["field"],
+            _ => self.classes.names,
+        };
+        let mut text = String::from("# Labels made by `realitysim labels`.\ntrain: train.txt\nval: val.txt\n");
+        if self.format == Format::YoloPose {
+            let landmarks: Vec<&str> =
+                self.labeller.landmarks().iter().map(|landmark| landmark.name.as_str()).collect();
+            let _ = writeln!(text, "kpt_shape: [{}, 3]", landmarks.len());
+            let _ = writeln!(text, "flip_idx: {:?}", yolo::mirrored(&self.labeller));
+            let _ = writeln!(text, "# Keypoints: {}", landmarks.join(" "));
+        }
+        text.push_str("names:\n");
+        names.iter().enumerate().for_each(|(number, name)| _ = writeln!(text, "  {number}: {name}"));
+        write(&self.folder.join("data.yaml"), &text)?;
+        Ok(())
+    }
+}

@@ -1,0 +1,38 @@
+//! A database for a command that takes a capture as well: that of a folder, or one made of the capture for the while.
+
+use std::path::Path;
+
+use tempfile::TempDir;
+
+use super::output;
+use crate::config::Settings;
+use crate::database::{self, Catalogue, ImageDatabase, TagLimits};
+use crate::recording::Loss;
+
+/// An open database, and what was lost when it was made.
+pub struct OpenedDatabase {
+    /// The database.
+    pub database: ImageDatabase,
+    /// What of the capture could not be read.
+    pub lost: Vec<Loss>,
+    /// Holds the database of a single capture, and is removed at the end.
+    _made: Option<TempDir>,
+}
+
+impl OpenedDatabase {
+    /// Opens the database in a folder, or makes one of a capture, with poses whose place is known to `max_sigma_m` metres.
+    pub fn of(input: &Path, max_sigma_m: f64) -> anyhow::Result<Self> {
+        let settings = Settings::default().views;
+        if Catalogue::read(input).is_ok() {
+            return Ok(Self { database: ImageDatabase::open(input, &settings)?, lost: Vec::new(), _made: None });
+        }
+        let made = tempfile::tempdir()?;
+        let limits = TagLimits { sigma_m: max_sigma_m, ..TagLimits::default() };
+        let mut progress = output::Progress::new("reading");
+        let read = &mut |done| progress.set(done, None);
+        let added = database::add(made.path(), &[input.to_owned()], None, limits, read)?;
+        progress.finish();
+        let database = ImageDatabase::open(made.path(), &settings)?;
+        Ok(Self { database, lost: added.losses, _made: Some(made) })
+    }
+}
