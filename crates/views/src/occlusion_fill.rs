@@ -12,6 +12,7 @@ use super::raster::{NOTHING, Raster, UNSURE};
 use super::sample::read;
 use super::synthesized_view::{Candidate, Request};
 use super::target_rays::Target;
+use super::world::Surface;
 
 /// A pixel of the view that a figure hides in every source that would show it.
 struct Hidden {
@@ -21,11 +22,15 @@ struct Hidden {
     source: usize,
     /// The figure there; `None` if the source says that something moves there, but not which figure.
     figure: Option<usize>,
+    /// Whether something beyond the ground is hidden.
+    is_far: bool,
 }
 
 /// A figure is drawn if this share of it hides something in all sources. Where less is hidden, the figure is not in the view, and
-/// what its feet hide is interpolated.
-const DRAWN_FROM_SHARE: f64 = 0.5;
+/// the carpet at its feet is interpolated.
+const DRAWN_FROM_SHARE: f64 = 0.3;
+/// The same for what is beyond the ground, which has too much structure to be interpolated.
+const DRAWN_FROM_FAR_SHARE: f64 = 0.03;
 /// Figures of two sources that stand within this distance are the same one, metres.
 const SAME_FIGURE_M: f64 = 0.6;
 
@@ -82,14 +87,15 @@ fn hidden_pixels(image: &Raster, target: &Target, warps: &[Warp]) -> Vec<Hidden>
         .filter_map(|(at, _)| {
             let (u, v) = (at % image.width, at / image.width);
             warps.iter().enumerate().find_map(|(source, warp)| {
-                let (there, _) = warp.pixel(u, v)?;
+                let (there, surface) = warp.pixel(u, v)?;
                 let of = &warp.source().image;
                 let is_shown = read(of.full(), there.x as f32, there.y as f32)[3] >= UNSURE;
                 let (left, top) = (there.x as usize, there.y as usize);
                 let corners = [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().filter(|_| is_shown);
                 let mut figures = corners.filter_map(|(x, y)| of.figures().at(left + x, top + y));
                 let figure = figures.next();
-                is_shown.then_some(Hidden { at, source, figure })
+                let is_far = surface == Surface::Far;
+                is_shown.then_some(Hidden { at, source, figure, is_far })
             })
         })
         .collect()
@@ -103,17 +109,22 @@ fn boards<'a>(
     sources: &'a [Candidate],
     gains: &[Gain],
 ) -> Vec<(usize, FigureBoard<'a>)> {
-    let mut counts: Vec<((usize, usize), usize)> = Vec::new();
-    for key in hidden.iter().filter_map(|hidden| Some((hidden.source, hidden.figure?))) {
-        match counts.iter_mut().find(|(known, _)| *known == key) {
-            Some((_, count)) => *count += 1,
-            None => counts.push((key, 1)),
+    // Hidden pixels of each figure, and those of them that are beyond the ground.
+    let mut counts: Vec<((usize, usize), [usize; 2])> = Vec::new();
+    for (hidden, figure) in hidden.iter().filter_map(|hidden| Some((hidden, hidden.figure?))) {
+        let key = (hidden.source, figure);
+        let known = counts.iter().position(|(known, _)| *known == key).unwrap_or(counts.len());
+        if known == counts.len() {
+            counts.push((key, [0; 2]));
         }
+        let [all, far] = &mut counts[known].1;
+        (*all, *far) = (*all + 1, *far + usize::from(hidden.is_far));
     }
     counts.sort_unstable_by_key(|(key, _)| *key);
     let mut boards: Vec<(usize, FigureBoard)> = Vec::new();
-    for ((source, figure), count) in counts {
-        if (count as f64) < DRAWN_FROM_SHARE * area(target, &sources[source], figure) {
+    for ((source, figure), [all, far]) in counts {
+        let area = area(target, &sources[source], figure);
+        if (all as f64) < DRAWN_FROM_SHARE * area && (far as f64) < DRAWN_FROM_FAR_SHARE * area {
             continue;
         }
         let board = FigureBoard::new(target, &sources[source], figure, &gains[source], &request.vignetting);
