@@ -25,6 +25,7 @@ mod opened_database;
 mod output;
 mod paths;
 mod photo;
+mod postgame;
 mod record;
 mod reference_check;
 mod refine;
@@ -99,6 +100,7 @@ enum Command {
     // Rendered walks, and how good it all is.
     Scene(scene::SceneArguments),
     Eval(eval::EvalArguments),
+    Postgame(postgame::PostgameArguments),
     Check(check::CheckArguments),
     Measure(Box<measure::MeasureArguments>),
     Demo(demo::DemoArguments),
@@ -147,6 +149,7 @@ pub fn run() -> ExitCode {
         Command::Live(arguments) => live::run(&arguments, json),
         Command::Scene(arguments) => scene::run(&arguments, json),
         Command::Eval(arguments) => eval::run(&arguments, json),
+        Command::Postgame(arguments) => postgame::run(&arguments, json),
         Command::Check(arguments) => check::run(&arguments, json),
         Command::Measure(arguments) => measure::run(&arguments, json),
         Command::Demo(arguments) => demo::run(&arguments, json),

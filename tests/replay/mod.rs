@@ -38,6 +38,7 @@ mod paper;
 mod parts;
 mod pictures;
 mod places;
+mod postgame;
 mod power_loss;
 mod realtime;
 mod recovery;

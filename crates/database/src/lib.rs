@@ -72,4 +72,4 @@ pub use index::{Index, Neighbour, write_index};
 pub use kd_tree::Metric;
 pub use leave_one_out::leave_one_out;
 pub use record::Record;
-pub use sources::{FIELD_FILE, POSES_HEAD, SIGMAS_HEAD, covariances};
+pub use sources::{FIELD_FILE, POSES_HEAD, SIGMAS_HEAD, best_tags, covariances};

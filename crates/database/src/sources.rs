@@ -89,7 +89,7 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
         return Err(DatabaseError::Source { path, what: what.to_owned() });
     }
     let info = read_info(folder)?;
-    let (refined, Readout { found: tags, mut losses, .. }) = tags_of(&path)?;
+    let (refined, Readout { found: tags, mut losses, .. }) = best_tags(&path)?;
     let mut waiting: HashMap<i64, VecDeque<&FrameTag>> = HashMap::new();
     let is_somewhere = |tag: &&FrameTag| Isometry::from(tag.pose.pose).is_finite();
     let (mut ambiguous, mut imprecise) = (0, 0);
@@ -187,7 +187,7 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
 }
 
 /// The tags by which the images of a capture, or of one of its segments, are added, and the refined lens if they are refined ones.
-fn tags_of(path: &Path) -> Result<(Option<RefinedInfo>, Readout<FrameTag>), DatabaseError> {
+pub fn best_tags(path: &Path) -> Result<(Option<RefinedInfo>, Readout<FrameTag>), DatabaseError> {
     let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
     let refined = match refined_info(path) {
         // Refined tags are used only if they fit held-out lines better than the recorded ones.
@@ -212,7 +212,7 @@ pub fn covariances(source: &Source) -> Result<HashMap<i64, [f64; 36]>, DatabaseE
     if source.kind == SourceKind::Folder {
         return Ok(HashMap::new());
     }
-    let (_, tags) = tags_of(&source.path)?;
+    let (_, tags) = best_tags(&source.path)?;
     let valid = tags.found.iter().filter(|tag| tag.valid);
     Ok(valid.map(|tag| (tag.header.stamp.to_nanoseconds(), tag.pose.covariance)).collect())
 }

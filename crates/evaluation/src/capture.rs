@@ -38,6 +38,28 @@ pub enum EvaluationError {
         /// ROS 2 type of its messages.
         type_name: String,
     },
+    /// The poses are in another frame than the field's.
+    #[error("{path}: {topic}: its poses are in {frame:?}, and poses on the field are needed, which are in \"map\"")]
+    Frame {
+        /// Log that was read.
+        path: String,
+        /// Name of the topic.
+        topic: String,
+        /// The frame that the messages name.
+        frame: String,
+    },
+    /// A line of a table of poses is wrong.
+    #[error(
+        "{path}: line {line}: {what}: eight numbers are needed, `stamp tx ty tz qx qy qz qw`, the stamp in seconds"
+    )]
+    Line {
+        /// Table that was read.
+        path: String,
+        /// Number of the line, from 1 on.
+        line: usize,
+        /// What is wrong with it.
+        what: String,
+    },
     /// The topic of the camera's images cannot be determined.
     #[error("{path}: {source}")]
     Topic {
@@ -85,6 +107,52 @@ pub fn read_poses(path: &Path, name: &str) -> Result<Readout<Tagged>, Evaluation
     Ok(Readout { found, losses: read.losses, warnings })
 }
 
+/// Reads the poses of a robot on the field that it computed itself, with times in nanoseconds and in order of time.
+///
+/// # Errors
+///
+/// [`EvaluationError::Frame`] if the messages say that they are in a frame of odometry.
+pub fn read_own_poses(path: &Path, name: &str) -> Result<Readout<(i64, Isometry)>, EvaluationError> {
+    let read = read_poses_of(path, name, "name the topic of the robot's own poses with --poses")?;
+    let mut found = Vec::new();
+    for message in &read.found {
+        let (tagged, [parent, _]) = decode_pose(path, message)?;
+        if parent.trim_start_matches('/').ends_with(ODOM) {
+            let (path, topic) = (path.display().to_string(), name.to_owned());
+            return Err(EvaluationError::Frame { path, topic, frame: parent });
+        }
+        found.push((tagged.stamp_ns, tagged.pose));
+    }
+    found.sort_by_key(|(stamp_ns, _)| *stamp_ns);
+    found.dedup_by_key(|(stamp_ns, _)| *stamp_ns);
+    Ok(Readout { found, losses: read.losses, warnings: read.warnings })
+}
+
+/// Reads poses from the text of a table in the format of TUM, `stamp tx ty tz qx qy qz qw` with stamps in seconds; lines that begin with
+/// `#` are comments. `path` is for errors.
+pub fn parse_tum(path: &Path, text: &str) -> Result<Vec<(i64, Isometry)>, EvaluationError> {
+    let mut found = Vec::new();
+    for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'))
+    {
+        let wrong = |what: String| EvaluationError::Line { path: path.display().to_string(), line: number + 1, what };
+        let numbers: Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
+        let numbers = numbers.map_err(|_| wrong("not a number".to_owned()))?;
+        let [stamp, x, y, z, qx, qy, qz, qw] = numbers[..] else {
+            return Err(wrong(format!("{} numbers", numbers.len())));
+        };
+        let pose = Isometry::new(glam::DQuat::from_xyzw(qx, qy, qz, qw), glam::DVec3::new(x, y, z));
+        if !pose.is_finite() || !(0.0..9e9).contains(&stamp) {
+            return Err(wrong("a number that cannot be".to_owned()));
+        }
+        found.push(((stamp * 1e9) as i64, pose));
+    }
+    found.sort_by_key(|(stamp_ns, _)| *stamp_ns);
+    found.dedup_by_key(|(stamp_ns, _)| *stamp_ns);
+    Ok(found)
+}
+
+/// End of the names of frames in which odometry is.
+const ODOM: &str = "odom";
 /// Coordinate frame that judged poses are poses of.
 const CAMERA: &str = "camera_link";
 /// Coordinate frame that judged poses are expressed in.

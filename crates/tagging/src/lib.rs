@@ -58,6 +58,7 @@ mod perception_pool;
 pub mod pipeline;
 pub mod replay;
 mod report;
+pub mod robot_track;
 mod run_stats;
 pub mod setup;
 pub mod single_image;

@@ -17,12 +17,17 @@ use crate::ros2::messages::FrameTag;
 use crate::ros2::topics;
 
 /// Uses a frame and its tag. Returns why the frame cannot be used, if it cannot.
-pub(super) type TakeFrame<'a> = &'a mut dyn FnMut(&FrameTag, &LogMessage) -> anyhow::Result<Result<(), String>>;
+pub(in super::super) type TakeFrame<'a> =
+    &'a mut dyn FnMut(&FrameTag, &LogMessage) -> anyhow::Result<Result<(), String>>;
 
 /// Goes through the tagged frames of a capture in their order, with a progress bar. Returns how many `take` took, and what was lost.
 ///
 /// Frames that `take` cannot use are counted as lost. That none could be used is an error.
-pub(super) fn each_frame(capture: &Path, tags: &[FrameTag], take: TakeFrame<'_>) -> anyhow::Result<(usize, Vec<Loss>)> {
+pub(in super::super) fn each_frame(
+    capture: &Path,
+    tags: &[FrameTag],
+    take: TakeFrame<'_>,
+) -> anyhow::Result<(usize, Vec<Loss>)> {
     let image_topic = image_topic(capture)?;
     let mut waiting = by_stamp(tags);
     // The tags are read again with the images, so that damage to them is counted, too.
