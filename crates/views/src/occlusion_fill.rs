@@ -30,7 +30,7 @@ struct Hidden {
 /// the carpet at its feet is interpolated.
 const DRAWN_FROM_SHARE: f64 = 0.3;
 /// The same for what is beyond the ground, which has too much structure to be interpolated.
-const DRAWN_FROM_FAR_SHARE: f64 = 0.15;
+const DRAWN_FROM_FAR_SHARE: f64 = 0.03;
 /// Figures of two sources that stand within this distance are the same one, metres.
 const SAME_FIGURE_M: f64 = 0.6;
 
