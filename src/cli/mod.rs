@@ -39,6 +39,7 @@ mod sync;
 mod tag;
 mod values;
 mod view;
+mod view_depth;
 
 use std::process::ExitCode;
 

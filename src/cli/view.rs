@@ -10,7 +10,9 @@ use image::RgbImage;
 use serde::Serialize;
 
 use super::paths::{check_output, save, write_bytes};
+use super::settings::UsageError;
 use super::values::{any_whole, number, whole};
+use super::view_depth::DepthForm;
 use super::{Outcome, output};
 use crate::config::{Settings, load_lens};
 use crate::database::{ImageDatabase, ViewQuery, ViewResult};
@@ -88,9 +90,12 @@ pub struct ViewArguments {
     /// Nearest image, the paper's view and the exact one beside each other, with mask and numbers
     #[arg(long)]
     side_by_side: bool,
-    /// Write the mask: white is known geometry, gray beyond the ground (the hall, and what stands before it), black shows nothing
+    /// Write the mask: white is known geometry, gray beyond the ground and recorded figures, black shows nothing
     #[arg(long, value_name = "PNG")]
     mask: Option<PathBuf>,
+    /// Write the depth along each pixel's ray: .npy (metres; inf is far or unknown) or .png (millimetres, 16 bits; 0 is none)
+    #[arg(long, value_name = "FILE")]
+    depth: Option<PathBuf>,
     /// Robot config, for its section [views]
     #[arg(long, value_name = "FILE")]
     config: Option<String>,
@@ -164,7 +169,8 @@ struct Source {
 
 pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     let settings = arguments.config.as_deref().map_or(Ok(Settings::default()), Settings::load)?;
-    for path in [Some(&arguments.output), arguments.mask.as_ref()].into_iter().flatten() {
+    let depth = arguments.depth.as_deref().map(|path| Ok::<_, UsageError>((path, DepthForm::of(path)?))).transpose()?;
+    for path in [Some(&arguments.output), arguments.mask.as_ref(), arguments.depth.as_ref()].into_iter().flatten() {
         let named = [&arguments.scene, &arguments.config].into_iter().flatten().map(Path::new);
         check_output(path, &named.chain([arguments.db.as_path()]).collect::<Vec<_>>())?;
     }
@@ -175,12 +181,14 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     let mut shown = database.view(&wanted)?;
     let overlay = scene.map(|scene| ViewOverlay::new(&scene, shown.camera.lens(), arguments.figures == Figures::Draw));
     let apply = |shown: &mut ViewResult| {
-        overlay.as_ref().map_or_else(Vec::new, |overlay| apply(overlay, arguments.frame, database.world(), shown))
+        overlay
+            .as_ref()
+            .map_or_else(Default::default, |overlay| apply(overlay, arguments.frame, database.world(), shown))
     };
     if let Some(overlay) = &overlay {
         overlay.check(database.field())?;
     }
-    let effects = apply(&mut shown);
+    let (effects, figures_m) = apply(&mut shown);
     if arguments.side_by_side {
         save(&side_by_side_panels(&database, &wanted, &shown, apply)?, &arguments.output)?;
     } else {
@@ -188,6 +196,9 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     }
     if let Some(path) = &arguments.mask {
         save(&mask(&shown.answer.image), path)?;
+    }
+    if let Some((path, form)) = depth {
+        form.write(path, &shown.depth_m(database.world(), &figures_m), shown.camera.width())?;
     }
     let report = Report { effects, ..report(&database, &shown, arguments) };
     if json {
@@ -240,14 +251,16 @@ fn camera(
     Ok(Some(Arc::new(Camera::new(&Lens::new(lens.resized(size))?))))
 }
 
-/// Applies the scene and returns the effects. A view that was changed no longer counts as a stored image.
-fn apply(overlay: &ViewOverlay, frame: u64, world: &World, shown: &mut ViewResult) -> Vec<&'static str> {
+/// Applies the scene. Returns the effects, and the distances of its figures along the rays of the pixels.
+///
+/// A view that was changed no longer counts as a stored image.
+fn apply(overlay: &ViewOverlay, frame: u64, world: &World, shown: &mut ViewResult) -> (Vec<&'static str>, Vec<f32>) {
     let effects = overlay.effects();
-    if !effects.is_empty() {
-        shown.stored = None;
-        overlay.apply(frame, &shown.camera, world, &mut shown.answer);
+    if effects.is_empty() {
+        return (effects, Vec::new());
     }
-    effects
+    shown.stored = None;
+    (effects, overlay.apply(frame, &shown.camera, world, &mut shown.answer))
 }
 
 /// Writes the view. A stored image is written byte for byte if the file's ending fits its format.

@@ -317,6 +317,7 @@ fn descriptions() {
         body_masks: Vec::new(),
         dark: None,
         darkening: None,
+        moved: None,
         hall: realitysim::views::Hall::default(),
         images: 1,
         left_out: 0,

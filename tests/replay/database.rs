@@ -73,6 +73,20 @@ fn a_view_says_what_it_is_made_of() {
         let picture = image::open(room.path(picture)).expect("a picture");
         assert_eq!((picture.width(), picture.height()), (320, 240));
     }
+    for form in ["npy", "png"] {
+        let here = "view --db db --x -1.5 --y 0.25 --z 0.5 --yaw 14 --pitch 17";
+        room.run(&format!("{here} -o out.png --depth depth.{form}")).succeeds();
+    }
+    let npy = fs::read(room.path("depth.npy")).expect("written");
+    let (values, _) = npy[npy.len() - 4 * 320 * 240..].as_chunks::<4>();
+    let png = image::open(room.path("depth.png")).expect("a picture").to_luma16();
+    for (metres, millimetres) in values.iter().map(|bytes| f32::from_le_bytes(*bytes)).zip(png.as_raw()) {
+        let is_none = *millimetres == 0 && (metres.is_nan() || metres > 65.5);
+        assert!(is_none || (1000.0 * metres - f32::from(*millimetres)).abs() < 0.51, "{metres} m, {millimetres} mm");
+    }
+    assert!(png.as_raw().iter().filter(|value| **value > 0).count() > 20_000);
+    let run = room.run("view --db db --x 0 --y 0 --z 0.5 --yaw 14 -o out.png --depth depth.exr");
+    run.fails(2, &["depth.exr: its name must end in .npy (metres) or .png (millimetres)"]);
     let run = room.run("view --db db --x 2.5 --y 0 --z 0.5 --yaw 14 --pitch 17 -o out.png");
     run.fails(1, &["farther than the 1 m that are allowed"]);
     room.run("view --db db --x nan --y 0 --z 0.5 --yaw 14 -o out.png")

@@ -30,7 +30,7 @@ fn figures_upon_an_empty_picture_are_those_of_the_renderer() {
         let shown = figures.draw(frame, &pose, everywhere, &mut drawn);
         Renderer::new(&full).render_from(&pose, frame, &mut wanted);
         assert_eq!(drawn, wanted);
-        let count = shown.iter().filter(|shown| **shown).count();
+        let count = shown.iter().filter(|distance| distance.is_finite()).count();
         let changed = before.chunks_exact(3).zip(drawn.chunks_exact(3)).filter(|(a, b)| a != b).count();
         assert!(count > 500 && changed >= count * 9 / 10, "{count} pixels of figures, {changed} changed");
     }
@@ -43,11 +43,16 @@ fn what_stands_nearer_than_a_figure_hides_it_and_its_shadow() {
     let figures = Figures::new(&full, full.lens()).expect("it places some");
     let pose = full.truth(0.0).map_from_camera_link;
     let mut pixels = vec![100; 640 * 480 * 3];
-    assert!(figures.draw(0, &pose, |_, _| 0.3, &mut pixels).iter().all(|shown| !shown));
+    assert!(figures.draw(0, &pose, |_, _| 0.3, &mut pixels).iter().all(|distance| distance.is_infinite()));
     assert!(pixels.iter().all(|value| *value == 100), "all of it is behind");
     // The ball is a metre ahead, the robot farther: a curtain between them hides one of them.
-    let shown = figures.draw(0, &pose, |_, _| 1.3, &mut pixels).iter().filter(|shown| **shown).count();
-    let all = figures.draw(0, &pose, everywhere, &mut pixels).iter().filter(|shown| **shown).count();
+    let distances = figures.draw(0, &pose, everywhere, &mut pixels);
+    let [nearest, farthest] = [f32::min, f32::max].map(|choice| {
+        distances.iter().copied().filter(|distance| distance.is_finite()).reduce(choice).expect("figures are seen")
+    });
+    assert!((0.8..1.3).contains(&nearest) && farthest > 1.3, "{nearest} to {farthest} m");
+    let shown = figures.draw(0, &pose, |_, _| 1.3, &mut pixels).iter().filter(|distance| distance.is_finite()).count();
+    let all = figures.draw(0, &pose, everywhere, &mut pixels).iter().filter(|distance| distance.is_finite()).count();
     assert!(shown > 50 && all > 2 * shown, "{shown} of {all}");
 }
 

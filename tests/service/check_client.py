@@ -40,6 +40,13 @@ assert (view.image == png(first)).all(), "the stored image's own pixels"
 view = client.view(x=0.22, y=0.2, z=0.5, yaw_deg=11, pitch_deg=20, mask="alpha", width=160)
 assert view.image.shape == (120, 160, 3) and view.mask.shape == (120, 160), view
 assert view.made == "composed" and len(view.sources) > 1 and view.valid_share > 0.9, view
+# Layers are the same pixels as a picture, and depth is where the ray of the pixel meets the ground.
+layers = client.view(x=0.22, y=0.2, z=0.5, yaw_deg=11, pitch_deg=20, layers="image,depth,mask", width=160)
+assert (layers.image == view.image).all() and (layers.mask == view.mask).all(), layers
+assert layers.depth.shape == (120, 160) and layers.depth.dtype == np.float32, layers
+assert 0.3 < layers.depth[118, 80] < layers.depth[80, 80] < 5 and np.isinf(layers.depth[2, 80]), layers.depth[:, 80]
+only = client.view(x=0.22, y=0.2, z=0.5, yaw_deg=11, pitch_deg=20, layers="depth", width=160)
+assert only.image is None and only.mask is None and np.array_equal(only.depth, layers.depth, equal_nan=True), only
 try:
     client.view(x=9, y=9, z=0.5, yaw_deg=0)
     raise AssertionError("nothing is there")
@@ -65,6 +72,8 @@ pose = {"x": 0.2, "y": 0.2, "z": 0.5, "yaw_deg": 10, "pitch_deg": 20}
 views = list(client.views([pose, {**pose, "x": 50}, pose], width=64))
 assert [type(view).__name__ for view in views] == ["View", "RealitySimError", "View"], views
 assert views[0].image.shape == (48, 64, 3) and (views[0].image == views[2].image).all()
+deep = list(client.views([pose, {**pose, "layers": "depth"}], width=64))
+assert deep[0].depth is None and deep[1].image is None and deep[1].depth.shape == (48, 64), deep
 assert len(list(client.trajectory(pose, {**pose, "x": 0.3}, count=7))) == 7
 # Whoever has seen enough of a batch, or waited for too long, goes on.
 next(client.views([pose, pose, pose]))

@@ -1,8 +1,14 @@
 //! The Python client of the repository, installed and used as its users do.
 
+use std::fs;
 use std::process::Command;
 
-use super::Served;
+use super::{PLACES, Served, add_images};
+use crate::replay::support::Room;
+
+/// A lens as renderers have it.
+const PINHOLE: &str = "title = \"pinhole\"\nwidth = 320\nheight = 240\nfx = 200.0\nfy = 200.0\ncx = 159.5\ncy = 119.5\n\
+    model = \"plumb_bob\"\nd = [0.0, 0.0, 0.0, 0.0, 0.0]\n";
 
 /// Names a Python interpreter that has numpy and pip.
 const INTERPRETER: &str = "REALITYSIM_PYTHON";
@@ -13,7 +19,10 @@ fn the_python_client_gets_arrays_from_a_served_database() {
         println!("skipped: {INTERPRETER} names no interpreter");
         return;
     };
-    let served = Served::new("");
+    let room = Room::new();
+    add_images(&room, "images", &PLACES);
+    room.write("pinhole.toml", PINHOLE);
+    let served = Served::of(room, "--lens pinhole=pinhole.toml");
     let target = served.room.path("site");
     let package = concat!(env!("CARGO_MANIFEST_DIR"), "/clients/python");
     let copy = served.room.path("package");
@@ -60,4 +69,21 @@ fn the_python_client_gets_arrays_from_a_served_database() {
     let said =
         run("clients/python/examples/follow_robot.py", &["--url", &url, "--steps", "20", "--radius", "0.1", "--plain"]);
     assert!(said.contains("20 views"), "{said}");
+    // Half of a ball in the ground is hidden by the ground, half of it is in front; a ball that lies on the ground is seen whole.
+    let counts = |ball: &str| {
+        let mut arguments = vec!["--url", &url, "--camera", "0.2", "0.2", "0.5", "10", "30", "--ball"];
+        arguments.extend(ball.split(' '));
+        let said = run("clients/python/examples/compose_by_depth.py", &arguments);
+        let number = |word: &str| word.parse::<f64>().ok();
+        let numbers: Vec<f64> = said.split_whitespace().filter_map(number).collect();
+        <[f64; 2]>::try_from(numbers).unwrap_or_else(|_| panic!("{said}"))
+    };
+    let [shown, hidden] = counts("1.2 0.4 0.1");
+    assert!(shown > 400.0 && hidden == 0.0, "a ball on the ground: {shown} shown, {hidden} hidden");
+    let [shown, hidden] = counts("1.2 0.4 0.0");
+    // Seen from 26 degrees above, the part of a sphere's outline above its own middle plane is (1 + sin) / 2.
+    let share = shown / (shown + hidden);
+    assert!((share - 0.72).abs() < 0.03, "a ball half in the ground: {share}");
+    let picture = fs::read(served.room.path("composed.ppm")).expect("written");
+    assert!(picture.starts_with(b"P6 320 240 255\n"));
 }

@@ -6,6 +6,7 @@
     view.image        # numpy array, height x width x 3, uint8, R G B
     view.made         # stored, nearest, warped or composed
     view.mask         # height x width: 255 known geometry, 128 beyond the ground, 0 nothing; None with mask="none"
+    client.view(..., layers="image,depth").depth    # height x width, float32: metres along the ray of each pixel
 
 Poses are of ``camera_link`` in ``map``: x forward, y left, z up, metres; yaw, pitch, roll in degrees, pitch above 0 looks down.
 A client holds one connection, so that a view costs no more than making it; use one for each thread.
@@ -14,6 +15,7 @@ A client holds one connection, so that a view costs no more than making it; use 
 from __future__ import annotations
 
 import http.client
+import io
 import json
 import math
 import urllib.parse
@@ -24,7 +26,8 @@ import numpy as np
 
 __all__ = ["Client", "RealitySimError", "View", "pose_of_camera"]
 
-_RAW = "application/octet-stream"
+# Pictures as bytes, and layers as an .npz, which is a ZIP archive.
+_ACCEPTED = "application/octet-stream, application/zip"
 
 
 class RealitySimError(Exception):
@@ -40,8 +43,8 @@ class RealitySimError(Exception):
 class View:
     """A picture and what it says of itself."""
 
-    image: np.ndarray
-    """height x width x 3, uint8, R G B; height x width with mask="only"."""
+    image: Optional[np.ndarray]
+    """height x width x 3, uint8, R G B; height x width with mask="only"; None if ``layers`` leaves it out."""
     made: str
     """stored, nearest, warped or composed."""
     sources: list
@@ -51,7 +54,10 @@ class View:
     expected_error_px: Optional[float]
     """Of known geometry; None where none is shown."""
     mask: Optional[np.ndarray] = None
-    """height x width, uint8; None with mask="none" or mask="only"."""
+    """height x width, uint8; None with mask="none" or mask="only", or if ``layers`` leaves it out."""
+    depth: Optional[np.ndarray] = None
+    """height x width, float32, with ``layers``: metres along the unit ray of each pixel, not along the optical axis. inf where
+    the picture is far or its distance unknown, NaN where the lens draws nothing."""
     warning: Optional[str] = None
     """Set when the nearest image is farther away than allowed and outside="warn" was asked for."""
     headers: Mapping[str, str] = field(default_factory=dict, repr=False)
@@ -67,13 +73,14 @@ class Client:
         kind = http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
         self._connection = kind(parts.hostname, parts.port, timeout=timeout_s)
         self._response: Optional[http.client.HTTPResponse] = None
-        self._headers = {"Accept": _RAW}
+        self._headers = {"Accept": _ACCEPTED}
         if token is not None:
             self._headers["Authorization"] = f"Bearer {token}"
 
     def view(self, x: float, y: float, z: float, yaw_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.0, **parameters: Any) -> View:
         """The view from a pose. ``parameters`` are those of /v1/view: method, width, height, lens, scene, figures, frame,
-        max_distance_m, outside, mask. The mask comes along (``view.mask``) unless ``mask="none"``."""
+        max_distance_m, outside, mask, layers. The mask comes along (``view.mask``) unless ``mask="none"``; with
+        ``layers="image,depth,mask"`` the view has what is named there and nothing else."""
         pose = {"x": x, "y": y, "z": z, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "roll_deg": roll_deg}
         query = urllib.parse.urlencode({**pose, "mask": "alpha", **parameters})
         headers, body = self._ask("GET", f"/v1/view?{query}")
@@ -179,12 +186,9 @@ def _error(status: int, content: bytes) -> RealitySimError:
 
 
 def _view(headers: Mapping[str, str], body: bytes) -> View:
-    width, height, channels = (int(headers[f"realitysim-{name}"]) for name in ("width", "height", "channels"))
     error = headers.get("realitysim-expected-error-px")
-    pixels = np.frombuffer(body, dtype=np.uint8).reshape(height, width, channels)
     return View(
-        image=pixels[:, :, 0] if channels == 1 else pixels[:, :, :3],
-        mask=pixels[:, :, 3] if channels == 4 else None,
+        **_layers(headers, body),
         made=headers["realitysim-made"],
         sources=json.loads(headers["realitysim-sources"]),
         valid_share=float(headers["realitysim-valid-share"]),
@@ -193,6 +197,18 @@ def _view(headers: Mapping[str, str], body: bytes) -> View:
         warning=headers.get("realitysim-warning"),
         headers=headers,
     )
+
+
+def _layers(headers: Mapping[str, str], body: bytes) -> dict:
+    if headers["content-type"] == "application/zip":
+        with np.load(io.BytesIO(body)) as arrays:
+            return {name: arrays[name] if name in arrays else None for name in ("image", "depth", "mask")}
+    width, height, channels = (int(headers[f"realitysim-{name}"]) for name in ("width", "height", "channels"))
+    pixels = np.frombuffer(body, dtype=np.uint8).reshape(height, width, channels)
+    return {
+        "image": pixels[:, :, 0] if channels == 1 else pixels[:, :, :3],
+        "mask": pixels[:, :, 3] if channels == 4 else None,
+    }
 
 
 def _parts(response: http.client.HTTPResponse) -> Iterator[Union[View, RealitySimError]]:

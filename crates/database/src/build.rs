@@ -18,7 +18,7 @@ use super::masks::{self, Masks};
 use super::pixels::read_bytes;
 use super::record::Record;
 use super::sources::{self, Read};
-use super::{goals, hall, vignetting};
+use super::{goals, hall, moved, vignetting};
 use realitysim_geometry::{Field, FieldDimensions, LensParameters};
 use realitysim_recording::Loss;
 
@@ -41,7 +41,7 @@ pub struct Added {
     pub empty: Vec<Loss>,
 }
 
-/// Callback that gets the number of images read so far.
+/// Callback that gets the number of images read so far; of each source once more while its images are compared.
 pub type Progress<'a> = &'a mut dyn FnMut(u64);
 
 /// Adds captures and folders of images to a database, which is created if there is none.
@@ -70,7 +70,7 @@ pub fn add(
     let mut added = Added::default();
     for path in sources_of(paths, catalogue.as_ref())? {
         let read = sources::read(&path, limits, progress)?;
-        add_source(folder, &mut catalogue, &mut records, read, field, &mut added)?;
+        add_source(folder, &mut catalogue, &mut records, read, field, &mut added, progress)?;
     }
     if added.images == 0 {
         return Err(DatabaseError::Nothing([added.losses, added.empty].concat()));
@@ -91,7 +91,7 @@ pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError
     let (mut records, mut added) = (Vec::new(), Added::default());
     for source in &old.sources {
         match sources::read(&source.path, source.limits, progress) {
-            Ok(read) => add_source(folder, &mut catalogue, &mut records, read, Some(&old.field), &mut added)?,
+            Ok(read) => add_source(folder, &mut catalogue, &mut records, read, Some(&old.field), &mut added, progress)?,
             Err(error) => {
                 added.losses.push(Loss::new(&source.path, error.to_string()));
                 // The source may be unreachable for now: a later rebuild looks for it again.
@@ -162,6 +162,7 @@ fn add_source(
     read: Read,
     field: Option<&FieldDimensions>,
     added: &mut Added,
+    progress: Progress,
 ) -> Result<(), DatabaseError> {
     let Read { mut source, records: found, field: own, ambiguous, imprecise, assumed, losses, empty, lit, bodies } =
         read;
@@ -209,6 +210,7 @@ fn add_source(
     }
     source.darkening = vignetting::measure(folder, &source, &found, &catalogue.field)?;
     source.hall = hall::measure(folder, &source, &found, &catalogue.field)?;
+    source.moved = moved::measure(folder, &source, &found, &catalogue.field, progress)?;
     if source.goals && catalogue.field.goal.is_some() {
         source.goals = goals::are_present(folder, &source, &found, &catalogue.field)?.unwrap_or(true);
     }
@@ -316,6 +318,9 @@ pub fn verify(folder: &Path, progress: Progress) -> Result<Checked, DatabaseErro
     let mut checked = Checked { images: index.len(), sound: 0, losses: Vec::new() };
     for error in catalogue.sources.iter().filter_map(|source| Masks::read(folder, source).err()) {
         checked.losses.push(Loss::new(folder, error.to_string()));
+    }
+    for (path, what) in catalogue.sources.iter().filter_map(|source| moved::verify(folder, source).err()) {
+        checked.losses.push(Loss::new(&path, what));
     }
     let mut wrong: std::collections::BTreeMap<PathBuf, (u64, String)> = Default::default();
     for (number, record) in index.records().enumerate() {

@@ -49,6 +49,9 @@ pub struct Source {
     /// The walls and the ceiling that the images determine.
     #[serde(default)]
     pub hall: Hall,
+    /// A file in the database's folder that says what stands before the hall in each image.
+    #[serde(default)]
+    pub moved: Option<String>,
     /// Number of images in the index.
     pub images: u64,
     /// Number of frames left out: without a valid tag, with a tag beyond `limits`, or with an image that does not decode or

@@ -36,7 +36,10 @@ pub(super) fn measure(
         let colours = colours(&bytes, record.form).ok()?;
         let mut raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, &shows)?;
         let (map_from_link, tag) = (record.pose(), record.tag());
-        mark_moving(&mut raster, &Scenery { camera: &camera, map_from_link, tag, field: &field, world: &world });
+        mark_moving(
+            &mut raster,
+            &Scenery { camera: &camera, map_from_link, tag, field: &field, world: &world, moved: None },
+        );
         Some(HallImage::new(&camera, &map_from_link, &raster))
     };
     let step = records.len().div_ceil(SAMPLED_IMAGES).max(1);

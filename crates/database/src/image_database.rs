@@ -13,6 +13,7 @@ use super::hall;
 use super::index::{Index, Neighbour};
 use super::kd_tree::Metric;
 use super::masks::Masks;
+use super::moved::MovedBlocks;
 use super::pixels::{colours, ending, png_of};
 use super::record::{Form, Record};
 use super::source_selection::{Exclusions, choose};
@@ -20,7 +21,7 @@ use realitysim_config::ViewsSettings;
 use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
 use realitysim_views::{
     Camera, Candidate, CoverageMask, Method, Provenance, Pyramid, Raster, Request, Scenery, SynthesizedView,
-    ViewSettings, Vignetting, World, check_pose, mark_moving, view,
+    ViewSettings, Vignetting, World, check_pose, depth_m, mark_moving, view,
 };
 use realitysim_vision::BodyMask;
 
@@ -37,6 +38,8 @@ pub struct ImageDatabase {
     cameras: Vec<Arc<Camera>>,
     /// For each source, whether each pixel shows the world.
     shows: Vec<Vec<bool>>,
+    /// For each source, what stands before the hall in its images, if that is known.
+    moved: Vec<Option<MovedBlocks>>,
     /// For each source, whether each pixel may show the robot's own body.
     bodies: Vec<Vec<bool>>,
     decoded: Mutex<Decoded>,
@@ -72,6 +75,19 @@ pub struct ViewResult {
     pub unreadable: Vec<String>,
 }
 
+impl ViewResult {
+    /// Depth of the view in `world`, metres along the ray of each pixel as [`depth_m`] describes it.
+    ///
+    /// `figures_m` are distances of figures that were drawn into the view, infinite where there is none; it may be empty.
+    pub fn depth_m(&self, world: &World, figures_m: &[f32]) -> Vec<f32> {
+        let mut depths = depth_m(&self.camera, &self.answer.map_from_link, world);
+        for (depth, figure) in depths.iter_mut().zip(figures_m).filter(|(depth, _)| !depth.is_nan()) {
+            *depth = depth.min(*figure);
+        }
+        depths
+    }
+}
+
 /// Width of the band at the edge of the lens's circle that lens and codec have mixed with black, pixels.
 const RIM_PX: usize = 3;
 /// Most unreadable images that are passed over for one view.
@@ -97,7 +113,7 @@ impl ImageDatabase {
         let field = Field::new(catalogue.field.clone())
             .map_err(|source| DatabaseError::Field { path: folder.to_owned(), source })?;
         let mut by_lens: Vec<(&LensParameters, Arc<Camera>)> = Vec::new();
-        let (mut cameras, mut shows, mut bodies) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut cameras, mut shows, mut bodies, mut moved) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for source in &catalogue.sources {
             let known = by_lens.iter().find(|(lens, _)| **lens == source.lens).map(|(_, camera)| Arc::clone(camera));
             let camera = match known {
@@ -113,6 +129,7 @@ impl ImageDatabase {
             shows.push(shown_by(folder, source, &camera)?);
             bodies.push(body_of(folder, source)?);
             cameras.push(camera);
+            moved.push(MovedBlocks::open(folder, source)?);
         }
         let any_goals = catalogue.sources.iter().any(|source| source.goals);
         let world = if settings.goals && any_goals { World::new(&field) } else { World::without_goals(&field) };
@@ -129,6 +146,7 @@ impl ImageDatabase {
             cameras,
             shows,
             bodies,
+            moved,
             decoded,
         })
     }
@@ -388,7 +406,11 @@ impl ImageDatabase {
         if let Some(camera) = self.camera(record).filter(|_| self.settings.mask_moving) {
             let (map_from_link, tag) = (record.pose(), record.tag());
             let (field, world) = (&self.field, &self.world);
-            mark_moving(&mut raster, &Scenery { camera, map_from_link, tag, field, world });
+            let moved = self.moved.get(record.source as usize).and_then(Option::as_ref);
+            let moved = moved.map(|moved| moved.read(record)).transpose().map_err(|error| error.to_string())?.flatten();
+            let moved = moved.as_deref();
+            let figures = mark_moving(&mut raster, &Scenery { camera, map_from_link, tag, field, world, moved });
+            return Ok(Pyramid::with_figures(raster, figures));
         }
         Ok(Pyramid::new(raster))
     }

@@ -55,6 +55,7 @@ mod kd_tree;
 mod leave_one_out;
 mod lit_pixels;
 mod masks;
+mod moved;
 mod pixels;
 mod record;
 mod source_selection;

@@ -1,4 +1,5 @@
-//! Masks of the pixels that do not show the world: PNGs in the database's folder, named by their content.
+//! Masks of the pixels that do not show the world: PNGs in the database's folder, named by their content. Those of what stands before
+//! the hall differ from image to image: see `moved.rs`.
 
 use std::fs;
 use std::io::Cursor;
@@ -6,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::catalogue::{Catalogue, Source};
 use super::error::DatabaseError;
+use super::moved::MOVED;
 use realitysim_config::plain_file;
 use realitysim_log_input::mask;
 use realitysim_recording::write_atomically;
@@ -67,7 +69,9 @@ impl Masks {
 ///
 /// A reader that has just read an older catalogue reads the catalogue again.
 pub(super) fn remove_all_but(folder: &Path, catalogue: &Catalogue) {
-    let masks = |source: &Source| source.dark.iter().chain(&source.body_masks).cloned().collect::<Vec<String>>();
+    let masks = |source: &Source| -> Vec<String> {
+        source.dark.iter().chain(&source.body_masks).chain(&source.moved).cloned().collect()
+    };
     let used: Vec<String> = catalogue.sources.iter().flat_map(masks).collect();
     let entries = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
     let unused = |path: &PathBuf| {
@@ -80,6 +84,7 @@ pub(super) fn remove_all_but(folder: &Path, catalogue: &Catalogue) {
 }
 
 fn is_mask(name: &str) -> bool {
-    let hash = name.strip_prefix(DARK).or_else(|| name.strip_prefix(BODY));
-    hash.and_then(|rest| rest.strip_suffix(".png")).is_some_and(|hash| hash.len() == 8)
+    let png = name.strip_suffix(".png").and_then(|name| name.strip_prefix(DARK).or_else(|| name.strip_prefix(BODY)));
+    let moved = name.strip_suffix(".bin").and_then(|name| name.strip_prefix(MOVED));
+    png.or(moved).is_some_and(|hash| hash.len() == 8)
 }

@@ -170,6 +170,7 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
         files: files.iter().map(relative).collect(),
         dark: None,
         darkening: None,
+        moved: None,
         hall: Hall::default(),
         // A capture without stored masks names the files of the machine where it was made.
         body_masks: info.settings.camera.body_mask.iter().map(|mask| mask.png.clone()).collect(),
@@ -386,6 +387,7 @@ fn read_folder(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> R
         body_masks: Vec::new(),
         dark: None,
         darkening: None,
+        moved: None,
         hall: Hall::default(),
         images,
         left_out,

@@ -50,7 +50,10 @@ pub(super) fn measure(
         let colours = colours(&bytes, record.form).ok()?;
         let mut raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, &shows)?;
         let (map_from_link, tag) = (record.pose(), record.tag());
-        mark_moving(&mut raster, &Scenery { camera: &camera, map_from_link, tag, field: &field, world: &world });
+        mark_moving(
+            &mut raster,
+            &Scenery { camera: &camera, map_from_link, tag, field: &field, world: &world, moved: None },
+        );
         Some(Pyramid::new(raster))
     };
     let pair = |(first, second): (&Record, &Record)| -> Option<Vec<Overlap>> {

@@ -52,13 +52,14 @@ impl ViewOverlay {
     /// Applies the effects to a view as if it were frame `frame` of the scene.
     ///
     /// `camera` has the lens that the overlay was made for. `world` is the one that the view was made with: its goals
-    /// hide figures that stand behind them.
-    pub fn apply(&self, frame: u64, camera: &Camera, world: &World, answer: &mut SynthesizedView) {
+    /// hide figures that stand behind them. Returns the distance of each pixel's figure along its ray, metres: infinity
+    /// where there is none, and nothing at all if no figures are drawn.
+    pub fn apply(&self, frame: u64, camera: &Camera, world: &World, answer: &mut SynthesizedView) -> Vec<f32> {
         if self.effects().is_empty() {
-            return;
+            return Vec::new();
         }
         let mut rgb = answer.image.to_rgb();
-        let shown = self.figures.as_ref().map(|figures| {
+        let distances_m = self.figures.as_ref().map_or_else(Vec::new, |figures| {
             let pose = answer.map_from_link;
             let optical = pose * realitysim_geometry::Isometry::link_from_optical();
             let goals = world.goals_seen_from(pose.translation);
@@ -72,12 +73,13 @@ impl ViewOverlay {
         for (pixel, rgb) in answer.image.pixels.iter_mut().zip(rgb.as_chunks::<3>().0) {
             pixel[..3].copy_from_slice(rgb);
         }
-        for (pixel, shown) in answer.image.pixels.iter_mut().zip(shown.iter().flatten()) {
+        for (pixel, distance_m) in answer.image.pixels.iter_mut().zip(&distances_m) {
             // A pixel that shows a figure is certain.
-            if *shown {
+            if distance_m.is_finite() {
                 pixel[3] = SURE;
             }
         }
         answer.recount(camera);
+        distances_m
     }
 }

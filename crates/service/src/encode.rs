@@ -1,11 +1,12 @@
-//! Encodes pixels as the client's `Accept` asks for: JPEG, PNG or raw.
+//! Encodes pixels as the client's `Accept` asks for: JPEG, PNG or raw, or arrays for programs.
 
 use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use jpeg_encoder::ColorType;
 
 use super::HttpProblem;
-use super::parameters::MaskWanted;
+use super::arrays::{Values, npy, npz};
+use super::parameters::{Layer, MaskWanted, ViewRequest};
 use hyper::StatusCode;
 use realitysim_log_input::encode::jpeg;
 use realitysim_views::Raster;
@@ -17,6 +18,8 @@ pub(super) enum Form {
     Png,
     /// Bytes row by row, channels interleaved.
     Raw,
+    /// Arrays of numpy, `.npz`: the form of views that are asked for by layers.
+    Arrays,
 }
 
 impl Form {
@@ -25,6 +28,8 @@ impl Form {
             Self::Jpeg => "image/jpeg",
             Self::Png => "image/png",
             Self::Raw => "application/octet-stream",
+            // An .npz is a ZIP archive and has no media type of its own.
+            Self::Arrays => "application/zip",
         }
     }
 
@@ -34,13 +39,27 @@ impl Form {
     }
 }
 
-/// Returns the forms that a client accepts and that are possible with this mask, best first. Without `Accept` all are accepted.
-pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<Form>, HttpProblem> {
+/// Returns the forms that a client accepts and in which all of these views can be sent, best first. Without `Accept` all are accepted.
+///
+/// Views that are asked for by layers come as [`Form::Arrays`], which must be accepted if there is one of them.
+pub(super) fn accepted<'a>(
+    accept: Option<&str>,
+    views: impl Iterator<Item = &'a ViewRequest>,
+) -> Result<Vec<Form>, HttpProblem> {
+    let (arrays, pictures): (Vec<_>, Vec<_>) = views.partition(|asked| !asked.layers.is_empty());
     // The first is sent if the client has no preference.
-    let possible: &[Form] = match mask {
-        MaskWanted::None => &[Form::Jpeg, Form::Png, Form::Raw],
-        MaskWanted::Alpha | MaskWanted::Only => &[Form::Png, Form::Raw],
+    let possible: &[Form] = match pictures.iter().any(|asked| asked.mask != MaskWanted::None) {
+        false => &[Form::Jpeg, Form::Png, Form::Raw],
+        true => &[Form::Png, Form::Raw],
     };
+    let none = Ok(Vec::new());
+    let mut forms = if pictures.is_empty() { none.clone() } else { accepted_of(accept, possible) }?;
+    forms.extend(if arrays.is_empty() { none } else { accepted_of(accept, &[Form::Arrays]) }?);
+    Ok(forms)
+}
+
+/// Returns those of the possible forms that a client accepts, best first.
+fn accepted_of(accept: Option<&str>, possible: &[Form]) -> Result<Vec<Form>, HttpProblem> {
     let mut weighted: Vec<(u16, Form)> = Vec::new();
     for range in accept.unwrap_or("*/*").split(',') {
         let mut parts = range.split(';').map(str::trim);
@@ -70,6 +89,25 @@ pub(super) fn accepted(accept: Option<&str>, mask: MaskWanted) -> Result<Vec<For
     Ok(forms)
 }
 
+/// Encodes the layers of a view as `.npz`. `depth_m` computes the depth, metres along each pixel's ray.
+pub(super) fn encode_layers(
+    image: &Raster,
+    layers: &[Layer],
+    depth_m: impl Fn() -> Vec<f32>,
+) -> Result<Vec<u8>, HttpProblem> {
+    let size = [image.height, image.width];
+    let array = |layer: &Layer| match layer {
+        Layer::Image => ("image", npy(&[image.height, image.width, 3], Values::U8(&image.to_rgb()))),
+        Layer::Depth => ("depth", npy(&size, Values::F32(&depth_m()))),
+        Layer::Mask => ("mask", npy(&size, Values::U8(&image.mask()))),
+    };
+    npz(&layers.iter().map(array).collect::<Vec<_>>()).map_err(|error| failed(error.to_string()))
+}
+
+fn failed(what: String) -> HttpProblem {
+    HttpProblem::new(StatusCode::INTERNAL_SERVER_ERROR, what)
+}
+
 /// Encodes a picture. Returns its bytes and number of channels. `quality` is that of a JPEG.
 pub(super) fn encode(
     image: &Raster,
@@ -83,10 +121,9 @@ pub(super) fn encode(
         MaskWanted::Alpha => (image.pixels.as_flattened().to_vec(), 4),
         MaskWanted::Only => (image.mask(), 1),
     };
-    let failed = |what: String| HttpProblem::new(StatusCode::INTERNAL_SERVER_ERROR, what);
     let mut bytes = Vec::new();
     match form {
-        Form::Raw => bytes = pixels,
+        Form::Raw | Form::Arrays => bytes = pixels,
         Form::Jpeg => {
             bytes = jpeg(&pixels, width, height, ColorType::Rgb, quality).map_err(|error| failed(error.to_string()))?;
         }
@@ -106,21 +143,36 @@ pub(super) fn encode(
 
 #[cfg(test)]
 mod tests {
+    use super::super::parameters::Parameters;
     use super::*;
+
+    fn asked(more: &str) -> ViewRequest {
+        let query = format!("x=0&y=0&z=0.5&yaw_deg=0{more}");
+        Parameters::from_query(&query).and_then(|parameters| parameters.view_request()).expect("right")
+    }
 
     #[test]
     fn the_client_chooses_the_form() {
-        let first = |accept, mask| accepted(accept, mask).map(|forms| forms[0]);
-        assert_eq!(first(None, MaskWanted::None), Ok(Form::Jpeg));
-        assert_eq!(first(Some("image/png, image/jpeg;q=0.5"), MaskWanted::None), Ok(Form::Png));
-        assert_eq!(first(Some("image/jpeg;q=0.1, application/octet-stream"), MaskWanted::None), Ok(Form::Raw));
-        assert_eq!(first(Some("text/html, image/*"), MaskWanted::None), Ok(Form::Jpeg));
-        assert_eq!(first(None, MaskWanted::Only), Ok(Form::Png));
-        for (accept, mask) in
-            [("text/html", MaskWanted::None), ("image/jpeg", MaskWanted::Alpha), ("image/png;q=0", MaskWanted::None)]
-        {
-            let refusal = accepted(Some(accept), mask).expect_err("refused");
+        let first = |accept, more| accepted(accept, [asked(more)].iter()).map(|forms| forms[0]);
+        assert_eq!(first(None, ""), Ok(Form::Jpeg));
+        assert_eq!(first(Some("image/png, image/jpeg;q=0.5"), ""), Ok(Form::Png));
+        assert_eq!(first(Some("image/jpeg;q=0.1, application/octet-stream"), ""), Ok(Form::Raw));
+        assert_eq!(first(Some("text/html, image/*"), ""), Ok(Form::Jpeg));
+        assert_eq!(first(None, "&mask=only"), Ok(Form::Png));
+        assert_eq!(first(Some("application/*"), "&mask=only&layers=depth"), Ok(Form::Arrays));
+        for (accept, more) in [("text/html", ""), ("image/jpeg", "&mask=alpha"), ("image/png;q=0", "")] {
+            let refusal = first(Some(accept), more).expect_err("refused");
             assert!(refusal.status == 406 && refusal.what.contains("image/png"), "{refusal:?}");
         }
+        let refusal = first(Some("image/png"), "&layers=depth").expect_err("refused");
+        assert!(refusal.status == 406 && refusal.what.contains("application/zip"), "{refusal:?}");
+    }
+
+    #[test]
+    fn a_batch_of_pictures_and_arrays_needs_both_forms() {
+        let both = [asked(""), asked("&layers=image,depth")];
+        assert_eq!(accepted(Some("image/png, application/zip"), both.iter()), Ok(vec![Form::Png, Form::Arrays]));
+        assert_eq!(accepted(Some("image/png"), both.iter()).expect_err("refused").status, 406);
+        assert_eq!(accepted(Some("application/zip"), both.iter()).expect_err("refused").status, 406);
     }
 }

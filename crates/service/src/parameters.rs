@@ -10,7 +10,7 @@ use realitysim_geometry::{Euler, Isometry};
 use realitysim_views::{MAX_FAR_M, MAX_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MIN_HEIGHT_M, Method};
 
 /// Name of every parameter of a view, and what is valid for it.
-pub const PARAMETERS: [(&str, &str); 17] = [
+pub const PARAMETERS: [(&str, &str); 18] = [
     ("x", "metres, -100 to 100: camera_link in map"),
     ("y", "metres, -100 to 100"),
     ("z", "metres above the ground, 0.02 to 20"),
@@ -26,7 +26,11 @@ pub const PARAMETERS: [(&str, &str); 17] = [
     ("frame", "as which frame of the scene, 0 to 4294967295"),
     ("max_distance_m", "metres, 0 to 1000: how far away the nearest image may have been taken"),
     ("outside", "refuse (404) or warn (the best there is, with a warning), when the nearest image is farther away"),
-    ("mask", "none, alpha (a fourth channel; not for JPEG) or only (one channel)"),
+    ("mask", "of a picture: none, alpha (a fourth channel; not for JPEG) or only (one channel)"),
+    (
+        "layers",
+        "image, depth, mask, or several of them with commas between, as arrays of one .npz instead of a picture",
+    ),
     ("quality", "of a JPEG, 1 to 100"),
 ];
 
@@ -47,6 +51,8 @@ pub(super) struct ViewRequest {
     /// Whether a view is refused that is farther than `max_distance_m` from the nearest image.
     pub(super) refuses: bool,
     pub(super) mask: MaskWanted,
+    /// The arrays that are sent instead of a picture; none for a picture.
+    pub(super) layers: Vec<Layer>,
     pub(super) quality: u8,
 }
 
@@ -60,6 +66,17 @@ pub(super) enum MaskWanted {
     Alpha,
     /// Alone, as one channel.
     Only,
+}
+
+/// One array of a view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Layer {
+    /// Red, green and blue.
+    Image,
+    /// Metres along the ray of each pixel.
+    Depth,
+    /// What each pixel shows: known geometry, something beyond the ground, or nothing.
+    Mask,
 }
 
 /// Names and values of parameters, as they came.
@@ -151,6 +168,24 @@ impl Parameters {
         found.ok_or_else(|| wrong(name, text, &format!("one of {} is needed", names.join(", "))))
     }
 
+    /// Returns some of several words, with commas between and none twice; none of them if the parameter is not given.
+    fn choices<T: Copy + PartialEq>(&self, name: &str, choices: &[(&str, T)]) -> Result<Vec<T>, HttpProblem> {
+        let Some(text) = self.0.get(name) else { return Ok(Vec::new()) };
+        let mut found = Vec::new();
+        for word in text.split(',') {
+            let value = choices.iter().find(|(known, _)| *known == word).map(|(_, value)| *value);
+            match value.filter(|value| !found.contains(value)) {
+                Some(value) => found.push(value),
+                None => {
+                    let names: Vec<&str> = choices.iter().map(|(name, _)| *name).collect();
+                    let right = format!("{}, with commas between and none twice, are possible", names.join(", "));
+                    return Err(wrong(name, text, &right));
+                }
+            }
+        }
+        Ok(found)
+    }
+
     /// Checks all parameters of a view.
     pub(super) fn view_request(&self) -> Result<ViewRequest, HttpProblem> {
         self.only(&PARAMETERS.map(|(name, _)| name))?;
@@ -179,6 +214,8 @@ impl Parameters {
                 "mask",
                 &[("none", MaskWanted::None), ("alpha", MaskWanted::Alpha), ("only", MaskWanted::Only)],
             )?,
+            layers: self
+                .choices("layers", &[("image", Layer::Image), ("depth", Layer::Depth), ("mask", Layer::Mask)])?,
             quality: self.whole("quality", 1, 100)?.map_or(DEFAULT_QUALITY, |quality| quality as u8),
         })
     }
@@ -234,6 +271,12 @@ mod tests {
             ("x=1&x=2", "x: given twice"),
             ("x=1&y=2&z=0.5&yaw_deg=0&width=9999", "width is \"9999\": a whole number from 16 to 2048 is needed"),
             ("x=1&y=2&z=0.5&yaw_deg=0&method=best", "one of exact, paper, nearest is needed"),
+            (
+                "x=1&y=2&z=0.5&yaw_deg=0&layers=depth,labels",
+                "layers is \"depth,labels\": image, depth, mask, with commas",
+            ),
+            ("x=1&y=2&z=0.5&yaw_deg=0&layers=mask,mask", "none twice"),
+            ("x=1&y=2&z=0.5&yaw_deg=0&layers=", "layers is \"\": image, depth, mask"),
             ("x=1&y=2&z=0.5&yaw_deg=0&yaw=3", "yaw: unknown: there are x, y, z, yaw_deg"),
         ] {
             let refusal = asked(query).expect_err(query);

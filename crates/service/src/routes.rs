@@ -19,7 +19,7 @@ use super::encode::{Form, accepted};
 use super::guard::{Guard, list, text};
 use super::live;
 use super::page::{PageFile, page_file};
-use super::parameters::{MaskWanted, Parameters, ViewRequest};
+use super::parameters::{Parameters, ViewRequest};
 use super::response::{bytes, finish, json_reply, put_headers};
 use super::view_service::{Picture, ViewService};
 use super::{HttpProblem, OPENAPI, Reply, Service};
@@ -154,7 +154,7 @@ async fn view(
     request: &Request<Incoming>,
 ) -> Result<Reply, HttpProblem> {
     let asked = parameters.view_request()?;
-    let forms = accepted(list(request, &ACCEPT).as_deref(), asked.mask)?;
+    let forms = accepted(list(request, &ACCEPT).as_deref(), core::iter::once(&asked))?;
     let shared = Arc::clone(service);
     let picture = service.admission.enter().await?.run(move || shared.picture(&asked, &forms)).await??;
     let mut reply = bytes(StatusCode::OK, picture.form.media_type(), hold_answer(slot, picture.bytes)?);
@@ -179,10 +179,7 @@ async fn views(
     service.views()?;
     let accept = list(&request, &ACCEPT).filter(|accept| !accept.contains("multipart/"));
     let batch = Batch::from_json(&json_body(request).await?)?;
-    let alpha = |mask| {
-        batch.asked.iter().flatten().map(|asked| asked.mask).find(|own| *own != MaskWanted::None).unwrap_or(mask)
-    };
-    let forms = accepted(accept.as_deref(), alpha(MaskWanted::None))?;
+    let forms = accepted(accept.as_deref(), batch.asked.iter().flatten())?;
     let begun = service.admission.begin_batch().await?;
     Ok(batch.stream(Arc::clone(service), Arc::clone(slot), begun, forms))
 }

@@ -100,15 +100,20 @@ impl ViewService {
             without: Vec::new(),
         };
         let mut shown = database.view(&wanted).map_err(|error| refusal(&error))?;
-        let effects = match &asked.scene {
+        let (effects, figures_m) = match &asked.scene {
             Some(name) => self.apply(&database, name, asked, &mut shown)?,
-            None => Vec::new(),
+            None => (Vec::new(), Vec::new()),
         };
-        let untouched = effects.is_empty() && asked.mask == MaskWanted::None;
+        let untouched = effects.is_empty() && asked.mask == MaskWanted::None && asked.layers.is_empty();
         let stored = shown.stored.take().filter(|bytes| untouched && forms.contains(&Form::of(bytes)));
+        let image = &shown.answer.image;
         let (form, (bytes, channels)) = match stored {
             Some(bytes) => (Form::of(&bytes), (bytes, 3)),
-            None => (forms[0], encode::encode(&shown.answer.image, forms[0], asked.mask, asked.quality)?),
+            None if asked.layers.is_empty() => (forms[0], encode::encode(image, forms[0], asked.mask, asked.quality)?),
+            None => {
+                let depth_m = || shown.depth_m(database.world(), &figures_m);
+                (Form::Arrays, (encode::encode_layers(image, &asked.layers, depth_m)?, 3))
+            }
         };
         let mut headers = provenance(&database, &shown, channels);
         if !effects.is_empty() {
@@ -157,19 +162,19 @@ impl ViewService {
         Ok(Some(camera))
     }
 
-    /// Applies a scene to a view. Returns the names of the effects that were applied.
+    /// Applies a scene to a view. Returns the names of the effects that were applied, and how far each pixel's figure is.
     fn apply(
         &self,
         database: &ImageDatabase,
         name: &str,
         asked: &ViewRequest,
         shown: &mut ViewResult,
-    ) -> Result<Vec<&'static str>, HttpProblem> {
+    ) -> Result<(Vec<&'static str>, Vec<f32>), HttpProblem> {
         let scene = named("scene", name, &self.scenes)?;
         let stage = self.stage(name, scene, asked.figures, shown.camera.lens());
         stage.check(database.field()).map_err(|error| HttpProblem::wrong(format!("scene is {name:?}: {error}")))?;
-        stage.apply(asked.frame, &shown.camera, database.world(), &mut shown.answer);
-        Ok(stage.effects())
+        let figures_m = stage.apply(asked.frame, &shown.camera, database.world(), &mut shown.answer);
+        Ok((stage.effects(), figures_m))
     }
 
     /// Returns a scene prepared for a lens.

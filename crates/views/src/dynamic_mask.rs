@@ -6,6 +6,8 @@
 
 use glam::{DMat3, DVec2, DVec3};
 
+use super::figures::{Figures, fill_gaps};
+use super::moved_blocks::block_side;
 use super::raster::{Raster, SURE, UNSURE};
 use super::{Camera, TagError, World, optical};
 use realitysim_geometry::{Field, Isometry};
@@ -24,12 +26,10 @@ pub struct Scenery<'a> {
     pub field: &'a Field,
     /// Known geometry, with the goals that stand there.
     pub world: &'a World,
+    /// The blocks that [`super::moved_blocks`] has found, if it could: they tell what stands beyond the carpet.
+    pub moved: Option<&'a [bool]>,
 }
 
-/// Columns of the thumbnail: one for about each degree of a wide fisheye.
-const COLUMNS: usize = 160;
-/// Smallest side, in pixels of the image, of the block that one pixel of the thumbnail stands for.
-const MIN_BLOCK_SIDE: usize = 2;
 /// The carpet's colour is learnt from points within this distance, metres.
 const LEARN_WITHIN_M: f64 = 2.5;
 /// Every n-th of these points is used.
@@ -46,6 +46,16 @@ const DILATION: usize = 2;
 const HIDDEN_SHARE_LIMIT: f64 = 0.6;
 /// An obstacle that reaches the visible end of the carpet is extended above it up to this height, metres: a robot's.
 const HEIGHT_M: f64 = 1.0;
+/// Largest height of a figure, metres: a person's, and what its place is off.
+const BODY_M: f64 = 2.1;
+/// Gaps of up to this many pixels of the thumbnail belong to the body around them: its colour is that of what is behind.
+const GAP_BLOCKS: usize = 6;
+/// Colours differ by more than this: four times the luma, and chroma. Noise and the gradient of a wall are less.
+const DIFFERENCE: (u16, u8) = (48, 10);
+/// What is beside a body is looked at this many pixels of the thumbnail beyond it.
+const SIDE_GAP: usize = 3;
+/// A figure whose feet seem to be farther away has no place: near the horizon, a pixel is metres of floor.
+const FOOT_WITHIN_M: f64 = 12.0;
 /// An obstacle reaches the end of the carpet if it comes within this many rows of the thumbnail.
 const END_ROWS: f64 = 4.0;
 /// Dark pixels count as obstacles if the carpet's median luma is above this.
@@ -62,21 +72,35 @@ enum Place {
     Nothing,
 }
 
-/// Marks the pixels of `image` that show an obstacle as [`UNSURE`] and returns whether there are any.
-pub fn mark_moving(image: &mut Raster, scenery: &Scenery) -> bool {
+/// Marks the pixels of `image` that show an obstacle as [`UNSURE`], and returns the figures that they belong to.
+pub fn mark_moving(image: &mut Raster, scenery: &Scenery) -> Figures {
     let thumbnail = Thumbnail::of(image, scenery);
-    let Some(obstacles) = thumbnail.find_obstacles(scenery) else { return false };
-    let obstacles = thumbnail.extended_upwards(obstacles);
-    let mut any = false;
-    for (index, _) in obstacles.iter().enumerate().filter(|(_, obstacle)| **obstacle) {
+    let moved = scenery.moved.filter(|moved| moved.len() == thumbnail.places.len());
+    let solid = match (thumbnail.find_obstacles(scenery), moved) {
+        (Some(solid), _) => solid,
+        (None, Some(_)) => vec![false; thumbnail.places.len()],
+        (None, None) => return Figures::default(),
+    };
+    let widened = thumbnail.widened(&solid);
+    let marked = match moved {
+        Some(moved) => thumbnail.with_moved(widened, moved),
+        None => thumbnail.extended_upwards(widened),
+    };
+    let figures = Figures::of_blocks(
+        &marked,
+        (thumbnail.side, thumbnail.width),
+        thumbnail.from.truncate(),
+        |index| thumbnail.foot(index, &solid),
+        |index, distance_m| slope(thumbnail.rays[index]) <= (BODY_M - thumbnail.from.z) / distance_m,
+    );
+    for (index, _) in figures.marked().enumerate().filter(|(_, marked)| *marked) {
         for pixel in thumbnail.pixels(index) {
             if image.pixels[pixel][3] == SURE {
                 image.pixels[pixel][3] = UNSURE;
-                any = true;
             }
         }
     }
-    any
+    figures
 }
 
 /// A small copy of an image: directions, what they look at, and colours.
@@ -101,7 +125,7 @@ struct Thumbnail {
 impl Thumbnail {
     /// Downscales `image`.
     fn of(image: &Raster, scenery: &Scenery) -> Self {
-        let side = (image.width / COLUMNS).max(MIN_BLOCK_SIDE);
+        let side = block_side(image.width);
         let (width, height) = (image.width / side, image.height / side);
         let pose = optical(&scenery.map_from_link);
         let (from, turn) = (pose.translation, DMat3::from_quat(pose.rotation));
@@ -207,7 +231,7 @@ impl Thumbnail {
         let hidden = solid.iter().filter(|obstacle| **obstacle).count();
         let carpet = self.places.iter().filter(|place| matches!(place, Place::Carpet { .. })).count();
         let is_plausible = hidden > 0 && (hidden as f64) < HIDDEN_SHARE_LIMIT * carpet as f64;
-        is_plausible.then(|| self.widened(&solid))
+        is_plausible.then_some(solid)
     }
 
     /// Whether enough of the pixels around this one show an obstacle.
@@ -226,6 +250,62 @@ impl Thumbnail {
             .map(|i| obstacles[i / width * width..][near(i % width, width)].contains(&true))
             .collect();
         (0..obstacles.len()).map(|i| near(i / width, height).any(|v| rows[v * width + i % width])).collect()
+    }
+
+    /// Adds what was found to stand before the world beyond the carpet: the upper part of bodies, and those who stand around.
+    fn with_moved(&self, mut obstacles: Vec<bool>, moved: &[bool]) -> Vec<bool> {
+        for (index, obstacle) in obstacles.iter_mut().enumerate() {
+            *obstacle |= moved[index] && self.places[index] == Place::Beyond;
+        }
+        fill_gaps(&mut obstacles, self.width, GAP_BLOCKS);
+        self.grow_downwards(&mut obstacles);
+        obstacles
+    }
+
+    /// Adds the legs of bodies beyond the carpet. Near the floor, legs are where the floor is, so that other images show them there too.
+    ///
+    /// A pixel belongs to a body if one above it does and if it differs from what is seen to both sides of the body.
+    fn grow_downwards(&self, obstacles: &mut [bool]) {
+        for row in 1..self.height {
+            let (start, above) = (row * self.width, (row - 1) * self.width);
+            let stands = |column: usize| {
+                let near = column.saturating_sub(1)..(column + 2).min(self.width);
+                self.places[start + column] == Place::Beyond
+                    && !obstacles[start + column]
+                    && obstacles[above..][near].contains(&true)
+            };
+            let candidates: Vec<bool> = (0..self.width).map(stands).collect();
+            let mut column = 0;
+            while let Some(first) = (column..self.width).find(|column| candidates[*column]) {
+                let end = (first..self.width).find(|column| !candidates[*column]).unwrap_or(self.width);
+                let sides = [first.checked_sub(SIDE_GAP), Some(end - 1 + SIDE_GAP).filter(|side| *side < self.width)];
+                let run = obstacles[start + first..start + end].iter_mut();
+                for (index, obstacle) in (start + first..).zip(run) {
+                    *obstacle = sides.iter().flatten().all(|side| self.differ(index, start + side));
+                }
+                column = end;
+            }
+        }
+    }
+
+    /// Whether two pixels are of different colours; nothing differs from what shows nothing.
+    fn differ(&self, a: usize, b: usize) -> bool {
+        let ((luma_a, chroma_a), (luma_b, chroma_b)) = (self.colours[a], self.colours[b]);
+        let chroma = chroma_a.iter().zip(chroma_b).map(|(a, b)| a.abs_diff(b)).max();
+        self.places[b] != Place::Nothing && (luma_a.abs_diff(luma_b) > DIFFERENCE.0 || chroma > Some(DIFFERENCE.1))
+    }
+
+    /// Where a pixel's obstacle stands if it touches the floor there: an obstacle on the carpet, or anything beyond it.
+    fn foot(&self, index: usize, solid: &[bool]) -> Option<DVec2> {
+        match self.places[index] {
+            Place::Carpet { at, .. } => solid[index].then_some(at),
+            Place::Beyond => {
+                let ray = self.rays[index];
+                let distance = -self.from.z / ray.z;
+                (distance > 0.0 && distance < FOOT_WITHIN_M).then(|| (self.from + ray * distance).truncate())
+            }
+            Place::Nothing => None,
+        }
     }
 
     /// Adds what is above an obstacle that reaches the visible end of the carpet: heads and shoulders stand before what is far.

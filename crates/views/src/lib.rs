@@ -4,6 +4,7 @@
 //! `realitysim_database`, chooses the candidates. Each result says which images it was made of and how far it can be
 //! trusted. A [`Camera`] is a lens with the rays of its pixels, a [`World`] the known geometry (ground and goals), a
 //! [`Target`] what the rays of the wanted view meet, and a [`Warp`] the map from the wanted view into one source image.
+//! [`depth_m`] says how far each pixel of a view lies,
 //! [`mark_moving`] masks robots and people in a recorded image, and [`darkening`] measures a lens's vignetting.
 //!
 //! The crate is pure: poses, lenses and pixels go in, pixels come out. The methods are described in `docs/explanation/views.md`.
@@ -31,12 +32,16 @@
 mod camera;
 mod compose;
 mod coverage_mask;
+mod depth;
 mod dynamic_mask;
 mod expected_error;
+mod figure_board;
+mod figures;
 mod goal_check;
 mod ground_warp;
 mod hall;
 mod hall_fit;
+mod moved_blocks;
 mod occlusion_fill;
 pub mod paper;
 mod photometry;
@@ -52,11 +57,14 @@ mod world;
 
 pub use camera::Camera;
 pub use coverage_mask::{CoverageMask, PlaceMask};
+pub use depth::depth_m;
 pub use dynamic_mask::{Scenery, mark_moving};
+pub use figures::Figures;
 pub use goal_check::GoalBars;
 pub use ground_warp::Warp;
 pub use hall::Hall;
 pub use hall_fit::{HallFit, HallImage, fit_hall};
+pub use moved_blocks::{BlockImage, block_grid, moved_blocks};
 pub use photometry::{Gain, Vignetting};
 pub use raster::{NOTHING, Pyramid, Raster, SURE, UNSURE};
 pub use similarity::{Similarity, similarity};

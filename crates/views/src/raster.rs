@@ -1,5 +1,6 @@
 //! Colour images with a mask value for each pixel, and their pyramids.
 
+use super::figures::Figures;
 use realitysim_vision::distance::nearest;
 
 /// A colour image with a mask: red, green, blue and mask value of each pixel.
@@ -76,9 +77,10 @@ impl Raster {
 }
 
 /// An image with copies of a half, a quarter and an eighth of its size, for views that shrink it.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pyramid {
     levels: Vec<Raster>,
+    figures: Figures,
     has_moving: bool,
     inset: Inset,
 }
@@ -101,8 +103,13 @@ const BLOCK: usize = 8;
 const INSET_BLOCKS: usize = 3;
 
 impl Pyramid {
-    /// Computes the smaller copies of `full`.
+    /// Computes the smaller copies of `full`, an image without figures.
     pub fn new(full: Raster) -> Self {
+        Self::with_figures(full, Figures::default())
+    }
+
+    /// Computes the smaller copies of `full`, which shows these figures.
+    pub fn with_figures(full: Raster, figures: Figures) -> Self {
         let has_moving = full.pixels.iter().any(|pixel| pixel[3] == UNSURE);
         let inset = Inset::new(&full);
         let mut levels = vec![full];
@@ -112,7 +119,12 @@ impl Pyramid {
             let next = finer.halved();
             levels.push(next);
         }
-        Self { levels, has_moving, inset }
+        Self { levels, figures, has_moving, inset }
+    }
+
+    /// The figures that the image shows.
+    pub(super) fn figures(&self) -> &Figures {
+        &self.figures
     }
 
     /// Approximate distance in pixels to the nearest pixel that shows nothing; infinite if there is none within three blocks.

@@ -100,6 +100,11 @@ impl<'a> Target<'a> {
         self.camera
     }
 
+    /// Rotates a direction in `map` into the optical frame of the wanted camera.
+    pub(super) fn optical_from_map(&self, direction: DVec3) -> DVec3 {
+        self.map_from_optical.transpose() * direction
+    }
+
     pub(super) fn node_count(&self) -> usize {
         self.nodes.len()
     }

@@ -25,6 +25,8 @@ struct FrontBuffer {
     /// Figure * [`PARTS_PER_FIGURE`] + part + 1, or 0 if the pixel shows no figure.
     ids: Vec<u16>,
     colours: Vec<[u8; 3]>,
+    /// Distance of that part along the pixel's ray, metres, or infinity.
+    distances_m: Vec<f32>,
 }
 
 /// Indices of figures, each with indices of its parts, that may be visible in some pixels.
@@ -55,7 +57,8 @@ impl CrowdView {
     /// Draws the figures at `time` (seconds) over some rows of a picture of the empty hall.
     ///
     /// `limit` gives for a pixel (column, row) the distance along its ray, metres, beyond which figures are hidden by
-    /// something in the picture. Returns for every pixel of the image whether it shows a figure.
+    /// something in the picture. Returns for every pixel of the image the distance along its ray, metres, of the figure that it shows,
+    /// or infinity.
     pub(super) fn draw(
         &self,
         time: f64,
@@ -63,7 +66,7 @@ impl CrowdView {
         rows: &Range<usize>,
         limit: impl Fn(usize, usize) -> f32,
         pixels: &mut [u8],
-    ) -> Vec<bool> {
+    ) -> Vec<f32> {
         let placed: Vec<PlacedFigure> =
             self.members.iter().map(|(member, body)| PlacedFigure::new(member, body, time, view)).collect();
         let mut front = FrontBuffer::new(view.rays);
@@ -79,7 +82,7 @@ impl CrowdView {
         for tile in &occupied {
             front.composite(tile, &placed, view, &limit, pixels);
         }
-        front.ids.iter().map(|id| *id != 0).collect()
+        front.distances_m
     }
 }
 
@@ -111,7 +114,14 @@ impl<'a> OccupiedTile<'a> {
 impl FrontBuffer {
     fn new(rays: &RayTable) -> Self {
         let (width, height) = (rays.width(), rays.height());
-        Self { width, height, ids: vec![0; width * height], colours: vec![[0; 3]; width * height] }
+        let count = width * height;
+        Self {
+            width,
+            height,
+            ids: vec![0; count],
+            colours: vec![[0; 3]; count],
+            distances_m: vec![f32::INFINITY; count],
+        }
     }
 
     /// Finds what the pixel centres of a tile show.
@@ -128,9 +138,11 @@ impl FrontBuffer {
         for row in occupied.tile.rows.clone() {
             for column in occupied.columns(view.rays, row) {
                 let ray = view.in_map(view.rays.at(column, row));
-                if let Some((id, colour)) = nearest(&occupied.parts, placed, ray, limit(column, row)) {
-                    self.ids[row * self.width + column] = id;
-                    self.colours[row * self.width + column] = colour.map(byte);
+                if let Some((id, colour, distance_m)) = nearest(&occupied.parts, placed, ray, limit(column, row)) {
+                    let at = row * self.width + column;
+                    self.ids[at] = id;
+                    self.colours[at] = colour.map(byte);
+                    self.distances_m[at] = distance_m;
                 }
             }
         }
@@ -196,8 +208,8 @@ fn parts_of(ids: &[u16; 9]) -> Parts {
     found
 }
 
-/// The first hit of a ray nearer than `limit`: id and colour.
-fn nearest(parts: &Parts, placed: &[PlacedFigure], ray: [f32; 3], limit: f32) -> Option<(u16, Colour)> {
+/// The first hit of a unit ray nearer than `limit`: id, colour, and distance in metres.
+fn nearest(parts: &Parts, placed: &[PlacedFigure], ray: [f32; 3], limit: f32) -> Option<(u16, Colour, f32)> {
     let mut first: Option<(usize, usize, Hit)> = None;
     for (which, parts) in parts {
         let figure = &placed[*which];
@@ -212,7 +224,8 @@ fn nearest(parts: &Parts, placed: &[PlacedFigure], ray: [f32; 3], limit: f32) ->
     }
     let (which, part, hit) = first?;
     let figure = &placed[which];
-    Some(((which * PARTS_PER_FIGURE + part + 1) as u16, figure.colour(part, &hit, figure.to_figure(ray))))
+    let id = (which * PARTS_PER_FIGURE + part + 1) as u16;
+    Some((id, figure.colour(part, &hit, figure.to_figure(ray)), hit.t))
 }
 
 /// Blends figures over the colour of a pixel on an edge, by finer rays.
@@ -232,7 +245,7 @@ fn blend_edge(
         let offset = |index: usize| (index as f32 + 0.5) / SUBSAMPLES_PER_SIDE as f32 - 0.5;
         let (u, v) = (offset(sample % SUBSAMPLES_PER_SIDE), offset(sample / SUBSAMPLES_PER_SIDE));
         let ray = core::array::from_fn(|i| middle[i] + 0.5 * (u * (right[i] - left[i]) + v * (below[i] - above[i])));
-        if let Some((_, colour)) = nearest(parts, placed, view.in_map(ray), limit) {
+        if let Some((_, colour, _)) = nearest(parts, placed, view.in_map(ray), limit) {
             covered += 1.0;
             sum = core::array::from_fn(|channel| sum[channel] + colour[channel].clamp(0.0, 255.0));
         }

@@ -30,14 +30,15 @@ impl Figures {
     /// Draws the figures of frame `frame` by daylight, each with a soft shadow, into RGB pixels of the size of the lens.
     ///
     /// `limit` gives for a pixel (column, row) the distance along its ray, metres, at which something hides what is behind
-    /// it, or infinity. Returns for each pixel whether it shows a figure.
+    /// it, or infinity. Returns for each pixel the distance along its ray, metres, of the figure that it shows, or
+    /// infinity.
     pub fn draw(
         &self,
         frame: u64,
         map_from_camera_link: &Isometry,
         limit: impl Fn(usize, usize) -> f32,
         pixels: &mut [u8],
-    ) -> Vec<bool> {
+    ) -> Vec<f32> {
         let rotation = DMat3::from_quat(map_from_camera_link.rotation).to_cols_array().map(|value| value as f32);
         let camera = map_from_camera_link.translation.as_vec3().to_array();
         let view = View { rays: &self.rays, rotation: &rotation, camera: &camera, light: None };
