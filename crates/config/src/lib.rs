@@ -22,6 +22,7 @@
 //! # Ok::<(), realitysim_config::ConfigError>(())
 //! ```
 
+pub mod boards;
 mod error;
 pub mod fields;
 pub mod lenses;
@@ -30,6 +31,7 @@ pub mod settings;
 mod source;
 pub mod wording;
 
+pub use boards::{load_board, parse_board};
 pub use error::{ConfigError, LensFileError};
 pub use fields::{
     check_field_size, field_file, field_names, field_seen_from, load_field, load_field_of_size, parse_field,

@@ -27,6 +27,7 @@
 //! # Ok::<(), LensError>(())
 //! ```
 
+pub mod board;
 pub mod field;
 pub mod lens;
 pub mod multiversion;
@@ -35,6 +36,7 @@ pub mod polynomial;
 pub mod pose;
 mod pose_grid;
 
+pub use board::{Board, BoardDictionary, BoardError, BoardMarker};
 pub use field::{Field, FieldDimensions, FieldError, FieldPoint};
 pub use lens::{Lens, LensError, LensModel, LensParameters, Projector};
 pub use physical::Physical;

@@ -40,7 +40,9 @@
 //! # }
 //! ```
 
+pub mod board_calibration;
 mod budget;
+pub mod calibrated_lens;
 pub mod checkpoint;
 pub mod cut;
 pub mod dead_reckoning;

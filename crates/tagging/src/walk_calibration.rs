@@ -7,13 +7,13 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+use super::calibrated_lens::{CalibratedLens, NEEDED};
 use super::error::ReplayError;
 use super::offline_refinement::{FittedWalk, RefineError, fit};
 use super::replay::{ReplayOptions, replay};
 use super::report::ReplayReport;
 use realitysim_config::{Settings, lens_text};
 use realitysim_geometry::{LensError, LensModel, LensParameters};
-use realitysim_localization::smoothing::projection::{CellBias, ImageGrid, difference_px, uncertainty_px};
 use realitysim_localization::smoothing::{
     CONSTANTS, Constants, Frame, Model, NAMES, Smoothed, place_residuals, smooth,
 };
@@ -23,8 +23,8 @@ use realitysim_recording::{Loss, SESSION_FILE, SessionInfo, read_info, write_ato
 pub struct WalkCalibration {
     /// Description of the capture that was fitted last.
     pub info: SessionInfo,
-    /// The lens as found.
-    pub lens: LensParameters,
+    /// The lens as found, and maps over its image.
+    pub image: CalibratedLens,
     /// Corrections of what was believed when the walk was tagged last; what is not determined is 0.
     pub corrections: Constants,
     /// Each constant, in the order of [`NAMES`].
@@ -37,18 +37,6 @@ pub struct WalkCalibration {
     pub frames: [usize; 2],
     /// Number of times that the walk was tagged and fitted.
     pub rounds: usize,
-    /// Root mean square of the lines' distances from where they are drawn, pixels.
-    pub rms_px: f64,
-    /// Cells of the maps.
-    pub grid: ImageGrid,
-    /// Uncertainty of projection, by cell, pixels; `None` outside of what the lens sees.
-    pub uncertainty_px: Vec<Option<f64>>,
-    /// Difference of the lenses that two halves of the walk give, by cell, pixels.
-    pub difference_px: Vec<Option<f64>>,
-    /// The difference that the uncertainties of both halves allow: their sum, by cell, pixels.
-    pub allowed_px: Vec<Option<f64>>,
-    /// Bias of the residuals, by cell.
-    pub bias: Vec<CellBias>,
     /// Parts of the walk that could not be read.
     pub losses: Vec<Loss>,
 }
@@ -126,10 +114,6 @@ const MAX_ROUNDS: usize = 5;
 const REACHES: [(f64, f64); 3] = [(0.06, 0.02), (0.02, 0.008), (0.006, 0.003)];
 /// Changes of focal length (share), centre (pixels) and field (metres) below which another round finds the same.
 const SETTLED: [f64; 3] = [0.003, 2.0, 0.01];
-/// Largest standard deviations with which a constant counts as determined, in the order of [`NAMES`]: what moves a line by a pixel
-/// or a tag by a centimetre.
-const NEEDED: [f64; CONSTANTS] =
-    [0.005, 1.5, 1.5, 0.01, 0.0035, 0.0035, 0.008, 0.004, 0.006, 0.004, 0.002, 0.004, 0.03, 0.02, 0.02];
 /// Indices of the field's size in [`NAMES`].
 const FIELD: [usize; 2] = [13, 14];
 /// Number of pieces of a walk that alternate between both halves of the cross-validation.
@@ -228,13 +212,14 @@ fn assess(fitted: FittedWalk, rounds: usize) -> Result<WalkCalibration, Calibrat
     let smoothed = smooth(&frames, &info.lens, &model)?;
     let Smoothed { constants: corrections, ref covariance, rms_px: [_, rms_px], .. } = smoothed;
     let lens = corrections.lens(&info.lens);
-    let grid = ImageGrid::new(&lens);
     let halves = halves(&frames).map(|half| smooth(&half, &info.lens, &model));
     let [first, second] = halves;
     let (first, second) = (first?, second?);
     let lenses = [&first, &second].map(|half| half.constants.lens(&info.lens));
-    let [one, other] =
-        [uncertainty_px(&lenses[0], &first.covariance, &grid)?, uncertainty_px(&lenses[1], &second.covariance, &grid)?];
+    let [one, other] = lenses;
+    let residuals = place_residuals(&frames, &smoothed, &info.lens, &model)?;
+    let halves = [(one, &first.covariance), (other, &second.covariance)];
+    let image = CalibratedLens::new((lens, covariance), halves, rms_px, |grid| grid.bias(&residuals, rms_px))?;
     let values = corrections.values();
     let constants = (0..CONSTANTS).map(|i| CalibratedConstant {
         name: NAMES[i].0,
@@ -252,14 +237,8 @@ fn assess(fitted: FittedWalk, rounds: usize) -> Result<WalkCalibration, Calibrat
         height_m: heights.sum::<f64>() / smoothed.map_from_optical.len().max(1) as f64,
         frames: [frames.len(), tags.len()],
         rounds,
-        rms_px,
-        uncertainty_px: uncertainty_px(&lens, covariance, &grid)?,
-        difference_px: difference_px(&lenses[0], &lenses[1], &grid)?,
-        allowed_px: one.iter().zip(&other).map(|(one, other)| Some((*one)? + (*other)?)).collect(),
-        bias: grid.bias(&place_residuals(&frames, &smoothed, &info.lens, &model)?, rms_px),
-        lens,
+        image,
         corrections,
-        grid,
         losses,
         info,
     })
@@ -277,7 +256,7 @@ fn halves(frames: &[Frame]) -> [Vec<Frame>; 2] {
 impl WalkCalibration {
     /// Whether the walk determines how the lens projects: its focal length and centre, and its curve if the model has one.
     pub fn determines_lens(&self) -> bool {
-        let has_curve = matches!(self.lens.model, LensModel::KannalaBrandt { .. });
+        let has_curve = matches!(self.image.lens.model, LensModel::KannalaBrandt { .. });
         let wanted = if has_curve { 4 } else { 3 };
         self.constants.iter().take(wanted).all(|constant| constant.determined)
     }

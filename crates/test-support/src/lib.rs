@@ -1,6 +1,6 @@
 //! Helpers that the tests of several crates share; no program depends on this crate.
 //!
-//! [`exact`] is an oracle: it evaluates a formula with 256 bits, and a test compares the result in `f64` with it. [`measured`]
+//! [`board_picture`] draws calibration boards through a lens. [`exact`] is an oracle: it evaluates a formula with 256 bits, and a test compares the result in `f64` with it. [`measured`]
 //! holds the largest error that a test found against the figure that docs/reference/numerics.md states for it.
 //!
 //! ```rust
@@ -13,5 +13,6 @@
 //! largest_error(2e-16, 3e-16, "m");
 //! ```
 
+pub mod board_picture;
 pub mod exact;
 pub mod measured;

@@ -27,6 +27,7 @@
 //! ```
 
 mod bilinear;
+pub mod board;
 pub mod border;
 pub mod carpet;
 pub mod contrast;

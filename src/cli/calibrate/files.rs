@@ -2,12 +2,15 @@
 
 use std::path::Path;
 
+use super::board::BoardReport;
 use super::maps::maps;
 use super::report::Report;
 use crate::cli::paths::write;
 use crate::config::lens_text;
 use crate::geometry::{Euler, Isometry};
 use crate::localization::smoothing::Constants;
+use crate::tagging::board_calibration::BoardCalibration;
+use crate::tagging::calibrated_lens::CalibratedLens;
 use crate::tagging::walk_calibration::WalkCalibration;
 
 const LENS: &str = "lens.toml";
@@ -15,13 +18,28 @@ const LENS: &str = "lens.toml";
 /// Writes everything that the walk determines.
 pub(super) fn write_all(found: &WalkCalibration, report: &Report, folder: &Path) -> anyhow::Result<()> {
     if found.determines_lens() {
-        let text = lens_text(&found.lens, "Calibrated by a walk");
+        let text = lens_text(&found.image.lens, "Calibrated by a walk");
         write(&folder.join(LENS), &format!("# Found by `realitysim calibrate --walk`\n{text}"))?;
     }
     write(&folder.join("robot.toml"), &robot_text(found))?;
     write(&folder.join("report.txt"), &report.text())?;
     write(&folder.join("report.json"), &format!("{}\n", serde_json::to_string_pretty(report)?))?;
-    maps(found).iter().try_for_each(|map| write(&folder.join(map.file), &map.svg))
+    write_maps(&found.image, "lines", folder)
+}
+
+/// Writes the lens of a board with its report and maps; a lens that the pictures do not determine is left out.
+pub(super) fn write_board(found: &BoardCalibration, report: &BoardReport, folder: &Path) -> anyhow::Result<()> {
+    if found.determines_lens() {
+        let text = lens_text(&found.image.lens, "Calibrated by a board");
+        write(&folder.join(LENS), &format!("# Found by `realitysim calibrate --board`\n{text}"))?;
+    }
+    write(&folder.join("report.txt"), &report.text())?;
+    write(&folder.join("report.json"), &format!("{}\n", serde_json::to_string_pretty(report)?))?;
+    write_maps(&found.image, "corners", folder)
+}
+
+fn write_maps(image: &CalibratedLens, marks: &str, folder: &Path) -> anyhow::Result<()> {
+    maps(image, marks).iter().try_for_each(|map| write(&folder.join(map.file), &map.svg))
 }
 
 /// Comment in the robot file that explains whose tilt it is.

@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
-use super::report::MIN_FRAMES;
-use crate::tagging::walk_calibration::WalkCalibration;
+use super::image_report::MIN_FRAMES;
+use crate::tagging::calibrated_lens::CalibratedLens;
 
 /// Side of a cell, pixels of the picture.
 const SIDE: f64 = 44.0;
@@ -15,8 +15,8 @@ pub(super) struct Map {
     pub(super) svg: String,
 }
 
-/// All maps of a calibration.
-pub(super) fn maps(found: &WalkCalibration) -> Vec<Map> {
+/// All maps of a lens. `marks` names what was seen in its image.
+pub(super) fn maps(found: &CalibratedLens, marks: &str) -> Vec<Map> {
     let number = |worst_px: f64| move |value: &Option<f64>| value.map(|px| (format!("{px:.2}"), px / worst_px));
     let uncertainty = found.uncertainty_px.iter().map(number(0.5)).collect();
     let difference = found.difference_px.iter().map(number(0.5)).collect();
@@ -29,16 +29,16 @@ pub(super) fn maps(found: &WalkCalibration) -> Vec<Map> {
         let frames = bias?.frames;
         Some((frames.to_string(), 1.0 - frames as f64 / (5 * MIN_FRAMES) as f64))
     });
-    let map = |file, title, cells| Map { file, svg: svg(found, title, cells) };
+    let map = |file, title: &str, cells| Map { file, svg: svg(found, title, cells) };
     vec![
         map("uncertainty.svg", "Uncertainty of projection, px", uncertainty),
-        map("cross-validation.svg", "Difference of the lenses by two halves of the walk, px", difference),
+        map("cross-validation.svg", "Difference of the lenses by two halves of the data, px", difference),
         map("residuals.svg", "Bias of the residuals, px (noise is near 0)", bias.collect()),
-        map("views.svg", "Frames with lines: red places need more views", views.collect()),
+        map("views.svg", &format!("Frames with {marks}: red places need more views"), views.collect()),
     ]
 }
 
-fn svg(found: &WalkCalibration, title: &str, cells: Vec<Option<(String, f64)>>) -> String {
+fn svg(found: &CalibratedLens, title: &str, cells: Vec<Option<(String, f64)>>) -> String {
     let columns = found.grid.columns;
     let (width, height) = (SIDE * columns as f64, HEAD + SIDE * found.grid.rows as f64);
     let mut text = format!(

@@ -1,6 +1,9 @@
-//! Command `realitysim calibrate`: lens, mount and field from one walk.
+//! Command `realitysim calibrate`: a lens from pictures of a board; lens, mount and field from one walk.
 
+mod board;
+mod board_images;
 mod files;
+mod image_report;
 mod maps;
 mod report;
 
@@ -19,23 +22,33 @@ use crate::tagging::ReplayOptions;
 use crate::tagging::walk_calibration::calibrate;
 use report::Report;
 
-/// Find lens, mount and field size from one walk over the lines
+/// Find lens, mount and field size from one walk over the lines, or the lens from a calibration board
 ///
-/// The walk is tagged, everything is fitted at once, and it is tagged again with what was found until nothing changes: lens with
+/// --walk: the walk is tagged, everything is fitted at once, and it is tagged again with what was found until nothing changes: lens with
 /// distortion, tilt of the mount, height, delay and readout of the camera, scale of odometry, length and width of the field. A lens of
 /// which only the angle of view is known (--lens equidistant:180deg) is start enough. Writes into DIR: lens.toml, robot.toml (a
 /// robot config), report.txt, report.json, and maps of the image as pictures. What the walk does not determine is named and not
 /// written. A capture is calibrated with its own settings.
+///
+/// --board: pictures of an AprilGrid or ChArUco board (a folder, a video or a log), the board held still in many places until its
+/// corners fill the image, at the rim as well. Writes lens.toml, report.txt, report.json and the maps.
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Examples:",
     "\n  realitysim calibrate --walk my_bag/ --field kid-2020 --lens equidistant:180deg -o calibration/",
     "\n  realitysim calibrate --walk captures/2026-11-21T10-00-00Z-robot -o calibration/",
+    "\n  realitysim calibrate --board aprilgrid.yaml pictures/ --lens equidistant:180deg -o calibration/",
 ))]
 pub struct CalibrateArguments {
     /// A log or a capture of a robot that walks, turns and looks around on a field
-    #[arg(long, value_name = "LOG|CAPTURE")]
-    walk: PathBuf,
+    #[arg(long, value_name = "LOG|CAPTURE", required_unless_present = "board", conflicts_with = "board")]
+    walk: Option<PathBuf>,
+    /// A board file: the YAML of Kalibr's aprilgrid, or the same for a ChArUco board (docs/reference/formats.md)
+    #[arg(long, value_name = "FILE", requires = "pictures", conflicts_with = "initial")]
+    board: Option<PathBuf>,
+    /// With --board: pictures of it, as a folder of PNG and JPEG files, a video or a log
+    #[arg(value_name = "FOLDER|VIDEO|LOG", requires = "board")]
+    pictures: Option<PathBuf>,
     /// Folder for lens, config, report and maps
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -47,7 +60,12 @@ pub struct CalibrateArguments {
 }
 
 pub fn run(arguments: &CalibrateArguments, json: bool) -> anyhow::Result<Outcome> {
-    let CalibrateArguments { walk, output: folder, initial, settings } = arguments;
+    let CalibrateArguments { walk, board, pictures, output: folder, initial, settings } = arguments;
+    if let (Some(board), Some(pictures)) = (board, pictures) {
+        return board::run(board, pictures, folder, &settings.resolve()?, json);
+    }
+    // The parser of the command line asks for one or the other.
+    let walk = walk.as_ref().ok_or_else(|| UsageError("give --walk or --board".to_owned()))?;
     check_output(folder, &[walk])?;
     if InputSource::is_scene(walk) {
         let scene = walk.display();

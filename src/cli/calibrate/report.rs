@@ -1,222 +1,56 @@
-//! What a calibration found, in words and as JSON.
+//! What a walk found, in words and as JSON.
 
-use glam::DVec2;
 use serde::Serialize;
 
-use crate::geometry::{LensModel, LensParameters};
+use super::image_report::{Constant, ImageReport};
 use crate::tagging::walk_calibration::WalkCalibration;
 
-/// The report of a calibration.
+/// The report of a calibration by a walk.
 #[derive(Serialize)]
 pub(super) struct Report {
     /// Frames that took part.
     frames: usize,
     /// Times that the walk was tagged and fitted.
     rounds: usize,
-    rms_px: f64,
     height_m: f64,
-    lens: LensParameters,
     field_size_m: Option<[f64; 2]>,
     constants: Vec<Constant>,
     /// Names of what the walk does not determine.
     not_determined: Vec<&'static str>,
-    /// Uncertainty of projection that 95 % of the cells stay below, pixels.
-    uncertainty_p95_px: f64,
-    cross_validation: CrossValidation,
-    /// Cells whose residuals are no noise.
-    model_errors: Vec<ModelError>,
-    /// Parts of the image in which lines were hardly ever seen, with the share of their cells.
-    needs_views: Vec<Sparse>,
-    consequences: Vec<Consequence>,
+    #[serde(flatten)]
+    image: ImageReport,
 }
-
-#[derive(Serialize)]
-struct Constant {
-    name: &'static str,
-    unit: &'static str,
-    /// Correction of what was believed.
-    value: f64,
-    sigma: f64,
-    determined: bool,
-}
-
-#[derive(Serialize)]
-struct CrossValidation {
-    /// Difference of the lenses by two halves of the walk that 95 % of the cells stay below, pixels.
-    p95_px: f64,
-    /// The same of the sum of the uncertainties of both halves.
-    allowed_p95_px: f64,
-    agrees: bool,
-}
-
-#[derive(Serialize)]
-struct ModelError {
-    at_px: [f64; 2],
-    place: &'static str,
-    off_px: [f64; 2],
-    sigmas: f64,
-}
-
-#[derive(Serialize)]
-struct Sparse {
-    place: &'static str,
-    share: f64,
-}
-
-/// What the uncertainty at the rim means on the ground.
-#[derive(Serialize)]
-struct Consequence {
-    distance_m: f64,
-    /// Error along the line of sight, and across it, centimetres.
-    along_cm: f64,
-    across_cm: f64,
-}
-
-/// Residuals of a cell are a model error if they lie off by this many standard deviations ...
-const ERROR_SIGMAS: f64 = 5.0;
-/// ... and by this many pixels: less is what paint and light do.
-const ERROR_PX: f64 = 0.15;
-/// A cell needs views if fewer frames show lines in it.
-pub(super) const MIN_FRAMES: usize = 10;
-/// A part of the image needs views if this share of its cells does.
-const SPARSE_SHARE: f64 = 0.5;
-/// Both halves agree if they differ by at most this many times the sum of their uncertainties.
-const AGREEMENT: f64 = 1.5;
-const DISTANCES_M: [f64; 4] = [1.0, 2.0, 3.0, 5.0];
-const PLACES: [&str; 9] =
-    ["upper left", "top", "upper right", "left", "middle", "right", "lower left", "bottom", "lower right"];
 
 impl Report {
     pub(super) fn of(found: &WalkCalibration) -> Self {
-        let constants = found.constants.iter().map(|constant| Constant {
-            name: constant.name,
-            unit: constant.unit,
-            value: constant.value,
-            sigma: constant.sigma,
-            determined: constant.determined,
-        });
         let not_determined = found.constants.iter().filter(|constant| !constant.determined);
-        let uncertainty_p95_px = p95(&found.uncertainty_px);
-        let (p95_px, allowed_p95_px) = (p95(&found.difference_px), p95(&found.allowed_px));
         Self {
             frames: found.frames[0],
             rounds: found.rounds,
-            rms_px: found.rms_px,
             height_m: found.height_m,
-            lens: found.lens.clone(),
             field_size_m: found.field_size_m,
-            constants: constants.collect(),
+            constants: Constant::all(&found.constants),
             not_determined: not_determined.map(|constant| constant.name).collect(),
-            uncertainty_p95_px,
-            cross_validation: CrossValidation { p95_px, allowed_p95_px, agrees: p95_px <= AGREEMENT * allowed_p95_px },
-            model_errors: model_errors(found),
-            needs_views: needs_views(found),
-            consequences: consequences(found, uncertainty_p95_px),
+            image: ImageReport::of(&found.image, found.height_m),
         }
     }
 
     /// The report for people; it ends with a new line.
     pub(super) fn text(&self) -> String {
         let mut text = format!(
-            "{} frames, tagged and fitted {} times; lines lie {:.2} px (rms) from where they are drawn\n",
-            self.frames, self.rounds, self.rms_px
+            "{} frames, tagged and fitted {} times; lines lie {:.2} px (rms) from where they are drawn\n{}",
+            self.frames,
+            self.rounds,
+            self.image.rms_px,
+            self.image.lens_text()
         );
-        let LensParameters { fx, fy, cx, cy, model, .. } = &self.lens;
-        text.push_str(&format!("lens: fx {fx:.3}, fy {fy:.3}, cx {cx:.3}, cy {cy:.3} px"));
-        if let LensModel::KannalaBrandt { k: [k1, k2, k3, k4] } = model {
-            text.push_str(&format!(", k {k1:.5}, {k2:.5}, {k3:.5}, {k4:.5}"));
-        }
-        text.push_str("\ncorrections of what the walk was tagged with last:\n");
-        for Constant { name, unit, value, sigma, determined } in &self.constants {
-            text.push_str(&match determined {
-                true => format!("  {name:<26} {value:+.5} +- {sigma:.5} {unit}\n"),
-                false => format!("  {name:<26} not determined by this walk (+- {sigma:.5} {unit})\n"),
-            });
-        }
+        text.push_str("corrections of what the walk was tagged with last:\n");
+        self.constants.iter().for_each(|constant| text.push_str(&constant.text("this walk")));
         text.push_str("  (tilt is of mount and IMU together)\n");
         text.push_str(&format!("height of the camera: {:.4} m\n", self.height_m));
         if let Some([length_m, width_m]) = self.field_size_m {
             text.push_str(&format!("field: {length_m:.3} x {width_m:.3} m\n"));
         }
-        text.push_str(&self.image_text());
-        text
+        text + &self.image.text("the walk", "lines")
     }
-
-    fn image_text(&self) -> String {
-        let CrossValidation { p95_px, allowed_p95_px, agrees } = self.cross_validation;
-        let mut text = format!(
-            "projection: +- {:.2} px over 95 % of the image\ntwo halves of the walk differ by {p95_px:.2} px, and {allowed_p95_px:.2} px \
-             are what their uncertainties allow: {}\n",
-            self.uncertainty_p95_px,
-            if agrees { "they agree" } else { "they do not agree: model error" }
-        );
-        for ModelError { at_px: [u, v], place, off_px: [x, y], .. } in &self.model_errors {
-            text.push_str(&format!(
-                "model error: {place}, at ({u:.0}, {v:.0}) lines lie off by ({x:+.2}, {y:+.2}) px\n"
-            ));
-        }
-        if self.model_errors.is_empty() {
-            text.push_str("residuals are noise all over the image\n");
-        }
-        for Sparse { place, share } in &self.needs_views {
-            text.push_str(&format!("needs more views: {place} ({:.0} % of it without lines)\n", 100.0 * share));
-        }
-        for Consequence { distance_m, along_cm, across_cm } in &self.consequences {
-            text.push_str(&format!(
-                "{:.2} px at the rim: {along_cm:.1} cm along and {across_cm:.1} cm across at {distance_m} m\n",
-                self.uncertainty_p95_px
-            ));
-        }
-        text
-    }
-}
-
-/// The value that 95 % of the cells stay below; 0 without cells.
-fn p95(cells: &[Option<f64>]) -> f64 {
-    let mut values: Vec<f64> = cells.iter().flatten().copied().collect();
-    values.sort_by(f64::total_cmp);
-    let last = values.len().saturating_sub(1);
-    values.get((0.95 * last as f64).round() as usize).copied().unwrap_or(0.0)
-}
-
-/// Words for where in the image a pixel lies.
-fn place(found: &WalkCalibration, pixel: DVec2) -> usize {
-    let third = |at: f64, size: u32| ((3.0 * at / f64::from(size)).max(0.0) as usize).min(2);
-    3 * third(pixel.y, found.lens.height) + third(pixel.x, found.lens.width)
-}
-
-fn model_errors(found: &WalkCalibration) -> Vec<ModelError> {
-    let cells = found.grid.middles().zip(&found.bias);
-    let biased = cells
-        .filter(|(_, bias)| bias.frames >= MIN_FRAMES && bias.sigmas > ERROR_SIGMAS && bias.off_px.length() > ERROR_PX);
-    biased
-        .map(|(pixel, bias)| ModelError {
-            at_px: pixel.to_array(),
-            place: PLACES[place(found, pixel)],
-            off_px: bias.off_px.to_array(),
-            sigmas: bias.sigmas,
-        })
-        .collect()
-}
-
-fn needs_views(found: &WalkCalibration) -> Vec<Sparse> {
-    let mut counts = [(0usize, 0usize); 9];
-    for ((pixel, bias), seen) in found.grid.middles().zip(&found.bias).zip(&found.uncertainty_px) {
-        let (sparse, all) = &mut counts[place(found, pixel)];
-        *all += usize::from(seen.is_some());
-        *sparse += usize::from(seen.is_some() && bias.frames < MIN_FRAMES);
-    }
-    let share = |(sparse, all): (usize, usize)| sparse as f64 / all.max(1) as f64;
-    let shares = PLACES.iter().zip(counts.map(share));
-    shares.filter(|(_, share)| *share > SPARSE_SHARE).map(|(place, share)| Sparse { place, share }).collect()
-}
-
-fn consequences(found: &WalkCalibration, off_px: f64) -> Vec<Consequence> {
-    let off_rad = off_px / found.lens.fx;
-    let on_ground = |distance_m: f64| {
-        let sight_m = distance_m.hypot(found.height_m);
-        let along_m = off_rad * sight_m * sight_m / found.height_m.max(0.01);
-        Consequence { distance_m, along_cm: 100.0 * along_m, across_cm: 100.0 * off_rad * sight_m }
-    };
-    DISTANCES_M.into_iter().map(on_ground).collect()
 }

@@ -1,7 +1,7 @@
 //! Command `realitysim import`: makes a log of pictures or a video, and of tables of what was measured meanwhile.
 
 pub(super) mod pictures;
-mod video;
+pub(super) mod video;
 
 use std::path::{Path, PathBuf};
 

@@ -16,7 +16,7 @@ const START_BYTES: u64 = 12;
 const MAX_COMPLAINT_BYTES: u64 = 4096;
 
 /// Whether a file is a video: MP4 or MOV, AVI, Matroska or WebM.
-pub(super) fn is_video(file: File) -> bool {
+pub(in crate::cli) fn is_video(file: File) -> bool {
     let mut start = Vec::new();
     let read = file.take(START_BYTES).read_to_end(&mut start);
     let has = |at: usize, magic: &[u8]| start.get(at..).is_some_and(|rest| rest.starts_with(magic));
@@ -24,7 +24,7 @@ pub(super) fn is_video(file: File) -> bool {
 }
 
 /// Reads the frames of a video one by one. ffmpeg waits while the pipe is full, so the memory is bounded by one frame.
-pub(super) struct FrameReader {
+pub(in crate::cli) struct FrameReader {
     ffmpeg: Child,
     /// `None` once it has ended.
     frames: Option<BufReader<ChildStdout>>,
@@ -35,7 +35,7 @@ pub(super) struct FrameReader {
 
 impl FrameReader {
     /// Starts ffmpeg on a file.
-    pub(super) fn start(video: &Path) -> anyhow::Result<Self> {
+    pub(in crate::cli) fn start(video: &Path) -> anyhow::Result<Self> {
         // An absolute path is no option and names no protocol.
         let path = std::path::absolute(video)?;
         let mut input = std::ffi::OsString::from("file:");
@@ -71,7 +71,7 @@ impl FrameReader {
     }
 
     /// The next frame as a JPEG; `None` at the end of the video. What ffmpeg complained of by then goes to `complain`.
-    pub(super) fn next_frame(&mut self, complain: &mut dyn FnMut(String)) -> anyhow::Result<Option<Vec<u8>>> {
+    pub(in crate::cli) fn next_frame(&mut self, complain: &mut dyn FnMut(String)) -> anyhow::Result<Option<Vec<u8>>> {
         let Some(frames) = &mut self.frames else { return Ok(None) };
         match read_jpeg(frames) {
             Ok(Some(frame)) => Ok(Some(frame)),

@@ -9,6 +9,7 @@
 //! pass forwards and one back solve it, as in a smoother. The module is pure.
 
 pub mod alignment;
+pub mod board;
 pub mod chain;
 mod model;
 mod moving_camera;
