@@ -86,9 +86,9 @@ const MAX_VIEWS: usize = 150;
 /// Mean movement of the corners between two pictures that both take part, as a share of the image's width.
 const MIN_MOVE_SHARE: f64 = 0.02;
 /// Farthest that a corner lies from where the first fit draws it, pixels.
-const MAX_OFF_PX: f64 = 1.5;
+const OUTLIER_PX: f64 = 1.5;
 /// Largest root mean square of the residuals of a fit that has converged, pixels.
-const MAX_RMS_PX: f64 = 2.0;
+const REFUSED_RMS_PX: f64 = 2.0;
 /// Rounds in which corners are sought where the fit draws them.
 const ROUNDS: usize = 2;
 
@@ -139,7 +139,7 @@ impl BoardPictures {
         let mut views: Vec<BoardView> = self.views.iter().map(first).collect();
         let mut fit = fit_board(&views, &self.believed)?;
         for _ in 0..ROUNDS {
-            if fit.rms_px > MAX_RMS_PX {
+            if fit.rms_px > REFUSED_RMS_PX {
                 return Err(BoardCalibrationError::NoFit { rms_px: fit.rms_px });
             }
             let lens = Lens::new(fit.lens.clone())?;
@@ -169,7 +169,7 @@ impl BoardPictures {
             let side = |axis: DVec2| Some(draw(*point + axis * side_m)?.distance(drawn));
             let half_px = window(board, side(DVec2::X)?.min(side(DVec2::Y)?))?;
             let pixel = refine_corner(picture, drawn, half_px)?;
-            (pixel.distance(drawn) < MAX_OFF_PX).then_some((*point, pixel))
+            (pixel.distance(drawn) < OUTLIER_PX).then_some((*point, pixel))
         };
         BoardView { corners: board.corners_m.iter().filter_map(corner).collect() }
     }

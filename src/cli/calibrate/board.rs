@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::board_images::BoardImages;
 use super::files;
-use super::image_report::{Constant, ImageReport};
+use super::image_report::{Constant, ImageReport, MIN_PICTURES};
 use crate::cli::paths::{check_output, make_folder};
 use crate::cli::settings::UsageError;
 use crate::cli::{Outcome, output};
@@ -88,7 +88,7 @@ impl BoardReport {
             fits_distortion: found.fits_distortion(),
             constants: Constant::all(&found.constants),
             not_determined: not_determined.map(|constant| constant.name).collect(),
-            image: ImageReport::of(&found.image, EXAMPLE_HEIGHT_M),
+            image: ImageReport::of(&found.image, EXAMPLE_HEIGHT_M, MIN_PICTURES),
         }
     }
 

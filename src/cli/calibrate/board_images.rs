@@ -54,7 +54,7 @@ impl BoardImages {
                 "{}: it has {} image topics ({}): name the camera's, as in --set topics.image=/camera/image",
                 path.display(),
                 images.len(),
-                images.iter().cloned().collect::<Vec<_>>().join(", ")
+                images.join(", ")
             ),
         };
         let topics = surveys.iter().flat_map(|survey| &survey.topics).filter(|topic| topic.topic == chosen);

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::board::BoardReport;
+use super::image_report::{MIN_FRAMES, MIN_PICTURES};
 use super::maps::maps;
 use super::report::Report;
 use crate::cli::paths::write;
@@ -24,7 +25,7 @@ pub(super) fn write_all(found: &WalkCalibration, report: &Report, folder: &Path)
     write(&folder.join("robot.toml"), &robot_text(found))?;
     write(&folder.join("report.txt"), &report.text())?;
     write(&folder.join("report.json"), &format!("{}\n", serde_json::to_string_pretty(report)?))?;
-    write_maps(&found.image, "lines", folder)
+    write_maps(&found.image, ("lines", MIN_FRAMES), folder)
 }
 
 /// Writes the lens of a board with its report and maps; a lens that the pictures do not determine is left out.
@@ -35,11 +36,11 @@ pub(super) fn write_board(found: &BoardCalibration, report: &BoardReport, folder
     }
     write(&folder.join("report.txt"), &report.text())?;
     write(&folder.join("report.json"), &format!("{}\n", serde_json::to_string_pretty(report)?))?;
-    write_maps(&found.image, "corners", folder)
+    write_maps(&found.image, ("corners", MIN_PICTURES), folder)
 }
 
-fn write_maps(image: &CalibratedLens, marks: &str, folder: &Path) -> anyhow::Result<()> {
-    maps(image, marks).iter().try_for_each(|map| write(&folder.join(map.file), &map.svg))
+fn write_maps(image: &CalibratedLens, (marks, min_frames): (&str, usize), folder: &Path) -> anyhow::Result<()> {
+    maps(image, marks, min_frames).iter().try_for_each(|map| write(&folder.join(map.file), &map.svg))
 }
 
 /// Comment in the robot file that explains whose tilt it is.

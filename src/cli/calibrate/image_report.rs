@@ -69,8 +69,10 @@ struct Consequence {
 const ERROR_SIGMAS: f64 = 5.0;
 /// ... and by this many pixels: less is what paint and light do.
 const ERROR_PX: f64 = 0.15;
-/// A cell needs views if fewer frames show lines in it.
+/// A cell needs views if fewer frames of a walk show lines in it: each shows one direction of a few places ...
 pub(super) const MIN_FRAMES: usize = 10;
+/// ... or fewer pictures show corners of a board, each of which is a point.
+pub(super) const MIN_PICTURES: usize = 3;
 /// A part of the image needs views if this share of its cells does.
 const SPARSE_SHARE: f64 = 0.5;
 /// Both halves agree if they differ by at most this many times the sum of their uncertainties.
@@ -102,8 +104,8 @@ impl Constant {
 }
 
 impl ImageReport {
-    /// The report of a lens that is used at a height above the ground, metres.
-    pub(super) fn of(image: &CalibratedLens, height_m: f64) -> Self {
+    /// The report of a lens that is used at a height above the ground, metres. A cell needs views below `min_frames`.
+    pub(super) fn of(image: &CalibratedLens, height_m: f64, min_frames: usize) -> Self {
         let uncertainty_p95_px = p95(&image.uncertainty_px);
         let (p95_px, allowed_p95_px) = (p95(&image.difference_px), p95(&image.allowed_px));
         Self {
@@ -111,8 +113,8 @@ impl ImageReport {
             lens: image.lens.clone(),
             uncertainty_p95_px,
             cross_validation: CrossValidation { p95_px, allowed_p95_px, agrees: p95_px <= AGREEMENT * allowed_p95_px },
-            model_errors: model_errors(image),
-            needs_views: needs_views(image),
+            model_errors: model_errors(image, min_frames),
+            needs_views: needs_views(image, min_frames),
             consequences: consequences(&image.lens, height_m, uncertainty_p95_px),
         }
     }
@@ -170,10 +172,10 @@ fn place(image: &CalibratedLens, pixel: DVec2) -> usize {
     3 * third(pixel.y, image.lens.height) + third(pixel.x, image.lens.width)
 }
 
-fn model_errors(image: &CalibratedLens) -> Vec<ModelError> {
+fn model_errors(image: &CalibratedLens, min_frames: usize) -> Vec<ModelError> {
     let cells = image.grid.middles().zip(&image.bias);
     let biased = cells
-        .filter(|(_, bias)| bias.frames >= MIN_FRAMES && bias.sigmas > ERROR_SIGMAS && bias.off_px.length() > ERROR_PX);
+        .filter(|(_, bias)| bias.frames >= min_frames && bias.sigmas > ERROR_SIGMAS && bias.off_px.length() > ERROR_PX);
     biased
         .map(|(pixel, bias)| ModelError {
             at_px: pixel.to_array(),
@@ -184,12 +186,12 @@ fn model_errors(image: &CalibratedLens) -> Vec<ModelError> {
         .collect()
 }
 
-fn needs_views(image: &CalibratedLens) -> Vec<Sparse> {
+fn needs_views(image: &CalibratedLens, min_frames: usize) -> Vec<Sparse> {
     let mut counts = [(0usize, 0usize); 9];
     for ((pixel, bias), seen) in image.grid.middles().zip(&image.bias).zip(&image.uncertainty_px) {
         let (sparse, all) = &mut counts[place(image, pixel)];
         *all += usize::from(seen.is_some());
-        *sparse += usize::from(seen.is_some() && bias.frames < MIN_FRAMES);
+        *sparse += usize::from(seen.is_some() && bias.frames < min_frames);
     }
     let share = |(sparse, all): (usize, usize)| sparse as f64 / all.max(1) as f64;
     let shares = PLACES.iter().zip(counts.map(share));

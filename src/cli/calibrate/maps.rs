@@ -2,7 +2,6 @@
 
 use std::fmt::Write;
 
-use super::image_report::MIN_FRAMES;
 use crate::tagging::calibrated_lens::CalibratedLens;
 
 /// Side of a cell, pixels of the picture.
@@ -15,8 +14,8 @@ pub(super) struct Map {
     pub(super) svg: String,
 }
 
-/// All maps of a lens. `marks` names what was seen in its image.
-pub(super) fn maps(found: &CalibratedLens, marks: &str) -> Vec<Map> {
+/// All maps of a lens. `marks` names what was seen in its image; a cell needs views below `min_frames`.
+pub(super) fn maps(found: &CalibratedLens, marks: &str, min_frames: usize) -> Vec<Map> {
     let number = |worst_px: f64| move |value: &Option<f64>| value.map(|px| (format!("{px:.2}"), px / worst_px));
     let uncertainty = found.uncertainty_px.iter().map(number(0.5)).collect();
     let difference = found.difference_px.iter().map(number(0.5)).collect();
@@ -27,7 +26,7 @@ pub(super) fn maps(found: &CalibratedLens, marks: &str) -> Vec<Map> {
     });
     let views = seen().map(|bias| {
         let frames = bias?.frames;
-        Some((frames.to_string(), 1.0 - frames as f64 / (5 * MIN_FRAMES) as f64))
+        Some((frames.to_string(), 1.0 - frames as f64 / (5 * min_frames) as f64))
     });
     let map = |file, title: &str, cells| Map { file, svg: svg(found, title, cells) };
     vec![

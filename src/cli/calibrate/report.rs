@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::image_report::{Constant, ImageReport};
+use super::image_report::{Constant, ImageReport, MIN_FRAMES};
 use crate::tagging::walk_calibration::WalkCalibration;
 
 /// The report of a calibration by a walk.
@@ -31,7 +31,7 @@ impl Report {
             field_size_m: found.field_size_m,
             constants: Constant::all(&found.constants),
             not_determined: not_determined.map(|constant| constant.name).collect(),
-            image: ImageReport::of(&found.image, found.height_m),
+            image: ImageReport::of(&found.image, found.height_m, MIN_FRAMES),
         }
     }
 

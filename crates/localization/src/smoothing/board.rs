@@ -64,7 +64,7 @@ const STEPS: [(usize, f64); 7] = [(0, 1e-5), (1, 1e-3), (2, 1e-3), (3, 1e-5), (8
 /// Step of derivatives by a ray, as a share of its length.
 const RAY_STEP: f64 = 1e-6;
 /// Most steps of the fit.
-const MAX_STEPS: usize = 60;
+const ITERATIONS: usize = 60;
 /// The fit ends when a step lowers the cost by a smaller share.
 const MIN_GAIN: f64 = 1e-9;
 /// Scale of the robust loss (Geman-McClure), in medians of what corners lie off, and its least value, pixels.
@@ -83,7 +83,7 @@ pub fn fit_board(views: &[BoardView], believed: &LensParameters) -> Result<Board
         views.iter().enumerate().map(|(number, view)| first_pose(view, &lens).ok_or(BoardFitError::NoPose(number)));
     let mut state = State { poses: poses.collect::<Result<_, _>>()?, constants: Constants::default() };
     let mut damping = 1e-3;
-    for _ in 0..MAX_STEPS {
+    for _ in 0..ITERATIONS {
         let scale_px = robust_scale(&offs(views, &state, believed)?);
         let linear = linearise(views, &state, believed, scale_px, 1.0)?;
         let mut gain = 0.0;
@@ -234,10 +234,9 @@ fn linearise(
         }
         (6..FRAME_UNKNOWNS).for_each(|at| chain.add(frame, 0.0, &unit(at, 1.0), &Border::zeros()));
     }
-    let values = state.constants.values();
-    for at in 0..CONSTANTS {
+    for (at, value) in state.constants.values().into_iter().enumerate() {
         match LOOSE.iter().find(|(loose, _)| *loose == at && (is_radial || at < 3)) {
-            Some((_, loose)) => chain.add_common(1e-3 * values[at] / loose, &common(at, 1e-3 / loose)),
+            Some((_, loose)) => chain.add_common(1e-3 * value / loose, &common(at, 1e-3 / loose)),
             None => chain.add_common(0.0, &common(at, 1.0 / HELD)),
         }
     }

@@ -12,17 +12,17 @@ use realitysim_geometry::Board;
 /// Corners along each edge of a saddle that are tried as the cell's next one.
 const MAX_NEXT: usize = 8;
 /// Longest side of a cell, as a share of the picture's width.
-const MAX_SIDE_SHARE: f64 = 0.4;
+const SIDE_SHARE_LIMIT: f64 = 0.4;
 /// Shortest side of a cell for each of its bits, pixels.
 const MIN_BIT_PX: f64 = 1.2;
 /// Least cosine of the angle between an edge and the way to the next corner.
 const MIN_ALIGNED: f64 = 0.96;
 /// Distance of the fourth corner from where three of them put it, as a share of the shorter side.
-const MAX_CLOSURE: f64 = 0.5;
+const CLOSURE_SHARE: f64 = 0.5;
 /// Least difference between the code's white and the border's black, gray levels.
 const MIN_CONTRAST: f64 = 16.0;
 /// Share of the border's bits that may look white.
-const MAX_WHITE_BORDER: f64 = 0.08;
+const WHITE_BORDER_LIMIT: f64 = 0.08;
 /// A code may have one wrong bit for so many bits.
 const BITS_FOR_AN_ERROR: usize = 17;
 
@@ -61,7 +61,7 @@ pub(super) fn read(picture: &Picture, board: &Board, saddles: &[Saddle]) -> Vec<
 /// The nearest saddles along an edge whose own edge leads back.
 fn next_corners(picture: &Picture, board: &Board, saddles: &[Saddle], from: usize, along: DVec2) -> Vec<usize> {
     let cell_bits = (board.bits + 2 * board.border_bits) as f64 / (1.0 - 2.0 * board.inset);
-    let sides = MIN_BIT_PX * cell_bits..=MAX_SIDE_SHARE * picture.width as f64;
+    let sides = MIN_BIT_PX * cell_bits..=SIDE_SHARE_LIMIT * picture.width as f64;
     let mut near: Vec<(f64, usize)> = Vec::new();
     for (number, saddle) in saddles.iter().enumerate() {
         let way = saddle.pixel - saddles[from].pixel;
@@ -86,7 +86,7 @@ fn fourth_corner(saddles: &[Saddle], first: usize, second: usize, fourth: usize)
     let near = saddles.iter().enumerate().filter_map(|(number, saddle)| {
         let off = saddle.pixel.distance(b + d - a);
         let is_new = ![first, second, fourth].contains(&number);
-        (is_new && off < MAX_CLOSURE * shorter && leads(saddle, b) && leads(saddle, d)).then_some((off, number))
+        (is_new && off < CLOSURE_SHARE * shorter && leads(saddle, b) && leads(saddle, d)).then_some((off, number))
     });
     near.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, number)| number)
 }
@@ -108,7 +108,7 @@ fn decode(picture: &Picture, board: &Board, quad: [DVec2; 4]) -> Option<[usize; 
     let white = inside.iter().copied().fold(0.0, f64::max);
     let limit = 0.5 * (black + white);
     let white_border = border.iter().filter(|value| **value > limit).count() as f64;
-    if white - black < MIN_CONTRAST || white_border > MAX_WHITE_BORDER * border.len() as f64 {
+    if white - black < MIN_CONTRAST || white_border > WHITE_BORDER_LIMIT * border.len() as f64 {
         return None;
     }
     let bits: Vec<bool> = inside.iter().map(|value| *value > limit).collect();

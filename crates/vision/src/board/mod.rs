@@ -29,11 +29,11 @@ const HALF_PX: core::ops::RangeInclusive<f64> = 2.0..=5.0;
 /// Least width of what lies around a corner undisturbed, pixels: the window of a corner has two pixels on each side.
 const MIN_CLEAR_PX: f64 = 2.8;
 /// Most steps of the refinement of a corner.
-const MAX_STEPS: usize = 20;
+const STEPS: usize = 20;
 /// A corner is found when a step is shorter, pixels.
 const MIN_STEP_PX: f64 = 1e-3;
 /// Farthest that a corner is moved by its refinement, pixels.
-const MAX_MOVE_PX: f64 = 2.5;
+const REACH_PX: f64 = 2.5;
 /// Least ratio of the eigenvalues of a corner's gradients: along an edge it is 0.
 const MIN_ISOTROPY: f64 = 0.03;
 
@@ -59,11 +59,11 @@ pub fn window(board: &Board, side_px: f64) -> Option<f64> {
 /// This is the method of OpenCV's `cornerSubPix` (Foerstner and Guelch 1987). `None` if there is no corner.
 pub fn refine_corner(picture: &Picture, start: DVec2, half_px: f64) -> Option<DVec2> {
     let mut corner = start;
-    for _ in 0..MAX_STEPS {
+    for _ in 0..STEPS {
         let next = perpendicular_point(picture, corner, half_px)?;
         let step = next.distance(corner);
         corner = next;
-        if corner.distance(start) > MAX_MOVE_PX {
+        if corner.distance(start) > REACH_PX {
             return None;
         }
         if step < MIN_STEP_PX {

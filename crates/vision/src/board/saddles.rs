@@ -21,7 +21,7 @@ const MIN_STRENGTH: f32 = 6.0;
 /// A saddle is the strongest one within this distance, pixels.
 const APART: usize = 2;
 /// Farthest that the saddle lies from the middle of its pixel, pixels.
-const MAX_OFF_PX: f64 = 1.5;
+const REACH_PX: f64 = 1.5;
 
 /// Second derivatives, and first ones, of the smoothed picture at a pixel.
 struct Curvature {
@@ -104,7 +104,7 @@ fn saddle(curvature: &Curvature, at: usize, width: usize) -> Option<Saddle> {
     let [xx, xy, yy, x, y] = [xx, xy, yy, x, y].map(f64::from);
     let determinant = xx * yy - xy * xy;
     let off = DVec2::new(xy * y - yy * x, xy * x - xx * y) / determinant;
-    if !off.is_finite() || off.abs().max_element() > MAX_OFF_PX {
+    if !off.is_finite() || off.abs().max_element() > REACH_PX {
         return None;
     }
     // Along an edge the quadratic form is 0: at equal angles on both sides of the axis of the positive eigenvalue.
