@@ -87,8 +87,10 @@ const MAX_VIEWS: usize = 150;
 const MIN_MOVE_SHARE: f64 = 0.02;
 /// Farthest that a corner lies from where the first fit draws it, pixels.
 const OUTLIER_PX: f64 = 1.5;
-/// Largest root mean square of the residuals of a fit that has converged, pixels.
+/// Largest root mean square of the residuals of a fit to the corners as they were first found, pixels.
 const REFUSED_RMS_PX: f64 = 2.0;
+/// Largest root mean square of the residuals of the last fit, pixels: corners of a board that is as its file says lie within a third.
+const LAST_RMS_PX: f64 = 0.6;
 /// Rounds in which corners are sought where the fit draws them.
 const ROUNDS: usize = 2;
 
@@ -152,6 +154,9 @@ impl BoardPictures {
                 break;
             }
             fit = fit_board(&views, &self.believed)?;
+        }
+        if fit.rms_px > LAST_RMS_PX {
+            return Err(BoardCalibrationError::NoFit { rms_px: fit.rms_px });
         }
         self.assess(&views, fit)
     }
