@@ -14,11 +14,14 @@ import cv2
 def tags(path):
     parameters = cv2.aruco.DetectorParameters()
     parameters.markerBorderBits = 2
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    parameters.cornerRefinementWinSize = 3
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), parameters)
-    corners, numbers, _ = detector.detectMarkers(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
-    return [] if numbers is None else [[int(n), c.reshape(4, 2).tolist()] for n, c in zip(numbers.ravel(), corners)]
+    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    corners, numbers, _ = detector.detectMarkers(picture)
+    if numbers is None:
+        return []
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
+    exact = [cv2.cornerSubPix(picture, c.reshape(-1, 1, 2).copy(), (4, 4), (-1, -1), stop) for c in corners]
+    return [[int(n), c.reshape(4, 2).tolist()] for n, c in zip(numbers.ravel(), exact)]
 
 
 def codes(dictionary, bits):

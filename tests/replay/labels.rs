@@ -79,8 +79,12 @@ fn landmarks_are_where_the_true_pose_puts_them() {
 #[test]
 fn labels_that_cannot_be_made_leave_nothing_behind() {
     let room = recorded();
-    room.run("labels db --format coco -o none --max-sigma 0.001").fails(1, &["place is known to 0.001 m", "refine"]);
+    room.run("labels db --format coco -o none --max-sigma 0.001").fails(1, &["position is known to 0.001 m", "refine"]);
     assert_eq!(fs::read_dir(room.path("none")).unwrap().count(), 0);
+    room.run("labels db --format coco --classes booster -o none").fails(2, &["--classes"]);
+    fs::create_dir(room.path("damaged")).unwrap();
+    room.write("damaged/database.json", "{");
+    room.run("labels damaged --format coco -o none").fails(1, &["damaged/database.json"]);
     room.run("labels nowhere --format coco -o none").fails(1, &["nowhere"]);
     fs::create_dir(room.path("full")).unwrap();
     room.write("full/a.txt", "mine");

@@ -90,5 +90,6 @@ fn a_training_set_that_cannot_be_made_leaves_nothing_behind() {
     let run = room.run("export db --to nerfstudio -o none --max-sigma 0.001");
     run.fails(1, &["position is known to 0.001 m", "realitysim refine"]);
     assert_eq!(fs::read_dir(room.path("none")).unwrap().count(), 0);
+    room.run(&format!("export {session} --to tum -o tags.tum --max-sigma 0.1")).fails(2, &["--max-sigma"]);
     room.run("export db --to tum -o tags.tum").fails(1, &["db"]);
 }

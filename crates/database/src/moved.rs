@@ -7,12 +7,13 @@
 use core::cmp::Ordering;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
-use std::{fs, io, thread};
+use std::{fs, io};
 
 use super::build::Progress;
 use super::catalogue::Source;
 use super::error::DatabaseError;
 use super::image_database::shown_by;
+use super::parallel::in_parallel;
 use super::pixels::{colours, read_bytes};
 use super::record::Record;
 use realitysim_config::plain_file;
@@ -91,22 +92,6 @@ pub(super) fn measure(
     let path = folder.join(&name);
     write_atomically(&path, &bytes)?;
     Ok(Some(name))
-}
-
-/// Computes a value for each number up to `count`, in order, on all cores.
-fn in_parallel<T: Send>(count: usize, value: impl Fn(usize) -> T + Sync) -> Vec<T> {
-    let threads = thread::available_parallelism().map_or(1, usize::from);
-    let share = count.div_ceil(threads).max(1);
-    let value = &value;
-    thread::scope(|scope| {
-        let part =
-            |first: usize| scope.spawn(move || (first..(first + share).min(count)).map(value).collect::<Vec<T>>());
-        let parts: Vec<_> = (0..count).step_by(share).map(part).collect();
-        parts
-            .into_iter()
-            .flat_map(|part| part.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-            .collect()
-    })
 }
 
 /// One bit for each block, the first in the lowest bit.

@@ -6,7 +6,7 @@ use serde::Serialize;
 use realitysim_geometry::{Isometry, Lens};
 use realitysim_views::SURE;
 
-use crate::class_map::{PosedImage, is_moving};
+use crate::class_map::PosedImage;
 use crate::landmarks::LandmarkKind;
 use crate::{Class, Labeller};
 
@@ -178,7 +178,7 @@ impl<'a> Seen<'a> {
                 let shown = self.image.shown.get(index).copied().unwrap_or_default();
                 let body = self.image.body.get(index).is_some_and(|body| *body);
                 all += 1;
-                hidden += u32::from(body || is_moving(shown) || shown != SURE);
+                hidden += u32::from(body || shown != SURE);
             }
         }
         f64::from(hidden) / f64::from(all.max(1))

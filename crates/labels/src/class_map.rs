@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec2, DVec3};
 
 use realitysim_geometry::Isometry;
-use realitysim_views::{Camera, SURE, UNSURE};
+use realitysim_views::{Camera, SURE};
 
 use crate::goals::GoalPart;
 use crate::pose_covariance::Bound;
@@ -56,7 +56,7 @@ pub struct PosedImage<'a> {
     pub map_from_link: Isometry,
     /// Covariance of that pose.
     pub covariance: PoseCovariance,
-    /// For each pixel, row by row: [`SURE`] if it shows the scene, [`UNSURE`] if it shows something that moves, otherwise nothing.
+    /// For each pixel, row by row: [`SURE`] if it shows the scene; other values if something that moves, or nothing.
     pub shown: &'a [u8],
     /// For each pixel: whether it shows the robot itself. Empty if it never does.
     pub body: &'a [bool],
@@ -116,9 +116,4 @@ impl Labeller {
             _ => Class::Carpet,
         }
     }
-}
-
-/// Whether the mask value of a pixel says that it shows something that moves.
-pub(crate) fn is_moving(shown: u8) -> bool {
-    shown == UNSURE
 }

@@ -6,7 +6,7 @@
 use glam::DVec2;
 use serde_json::{Value, json};
 
-use crate::{Class, Keypoint, LabelBox, Labeller, LandmarkKind, PosedImage, Visibility};
+use crate::{Class, Keypoint, LANDMARK_CLASSES, LabelBox, Labeller, PosedImage, Visibility};
 
 /// The annotations of many images, as they come in.
 #[derive(Clone, Debug)]
@@ -32,28 +32,19 @@ const IGNORE: usize = 7;
 const FIELD: usize = 20;
 /// Number of the first category of landmarks.
 const FIRST_LANDMARK: usize = 10;
-/// The landmarks that have boxes, in the order of their categories. A post's box is named after the post.
-const BOXES: [(LandmarkKind, &str); 6] = [
-    (LandmarkKind::LCrossing, "l_crossing"),
-    (LandmarkKind::TCrossing, "t_crossing"),
-    (LandmarkKind::XCrossing, "x_crossing"),
-    (LandmarkKind::PenaltyMark, "penalty_mark"),
-    (LandmarkKind::Centre, "centre"),
-    (LandmarkKind::PostFoot, "goalpost"),
-];
-
 impl Coco {
     /// No annotations yet, of a labeller's field.
     pub fn new(labeller: &Labeller) -> Self {
         let class =
             |class: &Class| json!({"id": *class as usize + 1, "name": class.name(), "supercategory": "surface"});
-        let landmark = |(at, (_, name)): (usize, &(LandmarkKind, &str))| json!({"id": FIRST_LANDMARK + at, "name": name, "supercategory": "landmark"});
+        let landmark =
+            |(at, name): (usize, &&str)| json!({"id": FIRST_LANDMARK + at, "name": name, "supercategory": "landmark"});
         let names: Vec<&str> = labeller.landmarks().iter().map(|landmark| landmark.name.as_str()).collect();
         let others = [
             json!({"id": IGNORE, "name": "ignore", "supercategory": "surface"}),
             json!({"id": FIELD, "name": "field", "supercategory": "field", "keypoints": names, "skeleton": []}),
         ];
-        let landmarks = BOXES.iter().enumerate().map(landmark);
+        let landmarks = LANDMARK_CLASSES.names.iter().enumerate().map(landmark);
         let categories = Class::KNOWN.iter().map(class).chain(landmarks).chain(others).collect();
         Self { categories, images: Vec::new(), annotations: Vec::new() }
     }
@@ -84,7 +75,7 @@ impl CocoImage {
             }
         }
         for found in labeller.boxes(image) {
-            if let Some(place) = BOXES.iter().position(|(kind, _)| *kind == found.kind) {
+            if let Some(place) = LANDMARK_CLASSES.class(found.kind) {
                 let more = json!({"iscrowd": 0, "hidden_share": rounded(found.hidden_share)});
                 own.annotate(FIRST_LANDMARK + place, of_box(&found), more);
             }

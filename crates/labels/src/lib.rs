@@ -26,6 +26,7 @@
 //! ```
 
 mod annotation;
+mod class_list;
 mod class_map;
 pub mod coco;
 mod goals;
@@ -36,6 +37,7 @@ mod pose_covariance;
 pub mod yolo;
 
 pub use annotation::{Keypoint, LabelBox, Visibility};
+pub use class_list::{BOOSTER_CLASSES, ClassList, LANDMARK_CLASSES};
 pub use class_map::{Class, PosedImage};
 pub use landmarks::{Landmark, LandmarkKind};
 pub use outlines::Outline;

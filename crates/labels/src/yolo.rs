@@ -6,50 +6,14 @@ use core::fmt::Write;
 
 use glam::DVec2;
 
-use crate::{Keypoint, LabelBox, Labeller, LandmarkKind, Outline, PosedImage, Visibility};
-
-/// Names of the classes, and which of them each kind of landmark has.
-#[derive(Clone, Copy, Debug)]
-pub struct ClassList {
-    /// Names, in the order of their numbers.
-    pub names: &'static [&'static str],
-    of: fn(LandmarkKind) -> Option<usize>,
-}
-
-/// A class for each kind of landmark that has boxes.
-pub const LANDMARK_CLASSES: ClassList = ClassList {
-    names: &["l_crossing", "t_crossing", "x_crossing", "penalty_mark", "centre", "goalpost"],
-    of: |kind| match kind {
-        LandmarkKind::LCrossing => Some(0),
-        LandmarkKind::TCrossing => Some(1),
-        LandmarkKind::XCrossing => Some(2),
-        LandmarkKind::PenaltyMark => Some(3),
-        LandmarkKind::Centre => Some(4),
-        LandmarkKind::PostFoot => Some(5),
-        LandmarkKind::PostTop => None,
-    },
-};
-
-/// The classes of Booster's RoboCup demo (<https://github.com/BoosterRobotics/robocup_demo>). What has no place on a field, such as a
-/// ball, has no labels.
-pub const BOOSTER_CLASSES: ClassList = ClassList {
-    names: &["Ball", "Goalpost", "Person", "LCross", "TCross", "XCross", "PenaltyPoint", "Opponent", "BRMarker"],
-    of: |kind| match kind {
-        LandmarkKind::LCrossing => Some(3),
-        LandmarkKind::TCrossing => Some(4),
-        LandmarkKind::XCrossing => Some(5),
-        LandmarkKind::PenaltyMark => Some(6),
-        LandmarkKind::PostFoot => Some(1),
-        LandmarkKind::Centre | LandmarkKind::PostTop => None,
-    },
-};
+use crate::{ClassList, Keypoint, LabelBox, Labeller, Outline, PosedImage, Visibility};
 
 /// Boxes: `class x y width height`, x and y of the middle.
 pub fn boxes(labeller: &Labeller, image: &PosedImage, classes: ClassList) -> String {
     let size = size(image);
     let mut text = String::new();
     for LabelBox { kind, from, to, .. } in labeller.boxes(image) {
-        let Some(class) = (classes.of)(kind) else { continue };
+        let Some(class) = classes.class(kind) else { continue };
         let (middle, extent) = ((from + to) / 2.0 / size, (to - from) / size);
         let _ = writeln!(text, "{class} {:.6} {:.6} {:.6} {:.6}", middle.x, middle.y, extent.x, extent.y);
     }

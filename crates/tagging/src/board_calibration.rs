@@ -11,6 +11,7 @@ use super::walk_calibration::CalibratedConstant;
 use realitysim_geometry::{Board, Isometry, Lens, LensError, LensModel, LensParameters};
 use realitysim_localization::smoothing::NAMES;
 use realitysim_localization::smoothing::board::{BoardFit, BoardFitError, BoardView, MIN_CORNERS, fit_board};
+use realitysim_localization::smoothing::projection::ImageGrid;
 use realitysim_vision::Picture;
 use realitysim_vision::board::{BoardCorner, find_corners, refine_corner, window};
 
@@ -183,9 +184,7 @@ impl BoardPictures {
         let half = |first: usize| -> Vec<BoardView> { views.iter().skip(first).step_by(2).cloned().collect() };
         let [one, other] = [fit_board(&half(0), &fit.lens)?, fit_board(&half(1), &fit.lens)?];
         let halves = [(one.lens, &one.covariance), (other.lens, &other.covariance)];
-        let maps = |grid: &_| {
-            realitysim_localization::smoothing::projection::ImageGrid::bias(grid, &fit.residuals, fit.rms_px)
-        };
+        let maps = |grid: &ImageGrid| grid.bias(&fit.residuals, fit.rms_px);
         let image = CalibratedLens::new((fit.lens.clone(), &fit.covariance), halves, fit.rms_px, maps)?;
         let values = fit.constants.values();
         let sought = (0..NAMES.len()).filter(|at| fit.known[*at] > 0.0);

@@ -67,6 +67,8 @@ pub(super) fn run(
     progress.finish();
     let collected = collected.with_context(|| format!("{}: there is no picture in it", pictures.display()))?;
     let found = collected.calibrate().with_context(|| pictures.display().to_string())?;
+    let lost = images.losses();
+    output::losses(&lost);
     let report = BoardReport::of(&found);
     make_folder(folder)?;
     files::write_board(&found, &report, folder)?;
@@ -75,7 +77,7 @@ pub(super) fn run(
     } else {
         output::lines(&format!("{}{}", report.text(), folder.display()))?;
     }
-    Ok(if found.determines_lens() { Outcome::Whole } else { Outcome::NotReached })
+    Ok(if found.determines_lens() { Outcome::of(&lost) } else { Outcome::NotReached })
 }
 
 impl BoardReport {

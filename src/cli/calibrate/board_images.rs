@@ -9,6 +9,7 @@ use crate::cli::paths::cannot_read;
 use crate::config::{Topics, plain_file};
 use crate::log_input::log::{LogSource, files_of, surveys, topic_types};
 use crate::log_input::{decode, topic_resolution};
+use crate::recording::{Loss, losses};
 use crate::ros2::mcap_read::Selection;
 use crate::vision::Picture;
 
@@ -47,10 +48,10 @@ impl BoardImages {
         let files = files_of(path).with_context(|| "neither pictures (PNG, JPEG), nor a video, nor a log")?;
         let surveys = surveys(&files)?;
         let images = topic_resolution::images(&topic_types(&surveys));
-        let chosen = match images.iter().find(|image| *image == topic) {
-            Some(image) => image.clone(),
-            None if images.len() == 1 && topic == Topics::default().image => images.iter().take(1).cloned().collect(),
-            None => bail!(
+        let chosen = match (images.iter().find(|image| *image == topic), &images[..]) {
+            (Some(image), _) => image.clone(),
+            (None, [only]) if topic == Topics::default().image => only.clone(),
+            _ => bail!(
                 "{}: it has {} image topics ({}): name the camera's, as in --set topics.image=/camera/image",
                 path.display(),
                 images.len(),
@@ -66,6 +67,14 @@ impl BoardImages {
     /// Number of all pictures if it is known.
     pub(super) fn count(&self) -> Option<u64> {
         self.count
+    }
+
+    /// What of a log could not be read so far.
+    pub(super) fn losses(&self) -> Vec<Loss> {
+        match &self.source {
+            Source::Log(messages, path) => losses(path, messages.damage()),
+            Source::Folder(_) | Source::Video(..) => Vec::new(),
+        }
     }
 
     /// The next picture with its name; `None` after the last.

@@ -31,7 +31,8 @@ use report::Report;
 /// written. A capture is calibrated with its own settings.
 ///
 /// --board: pictures of an AprilGrid or ChArUco board (a folder, a video or a log), the board held still in many places until its
-/// corners fill the image, at the rim as well. Writes lens.toml, report.txt, report.json and the maps.
+/// corners fill the image, at the rim as well. Writes lens.toml, report.txt, report.json and the maps. Of the settings it uses the lens to
+/// start from and topics.image.
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Examples:",

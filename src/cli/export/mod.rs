@@ -15,6 +15,7 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::paths::check_output;
+use super::settings::UsageError;
 use super::values::number;
 use super::{Outcome, output};
 use crate::recording::{Loss, Readout, read_tags};
@@ -52,10 +53,13 @@ pub struct ExportArguments {
     /// File (tum, video, route) or folder (the others) to write, outside of any capture
     #[arg(short, long)]
     output: PathBuf,
-    /// Of colmap and nerfstudio: only images whose place is known this well, standard deviation, 0.001 to 1
-    #[arg(long, value_name = "M", default_value_t = 0.01, value_parser = number(0.001..=1.0))]
-    max_sigma: f64,
+    /// Of colmap and nerfstudio: only images whose place is known this well, standard deviation, 0.001 to 1 [default: 0.01]
+    #[arg(long, value_name = "M", value_parser = number(0.001..=1.0))]
+    max_sigma: Option<f64>,
 }
+
+/// Standard deviation of the place of images for training: more blurs what is learnt, metres.
+const TRAINING_SIGMA_M: f64 = 0.01;
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Format {
@@ -79,6 +83,12 @@ struct Report {
 pub fn run(arguments: &ExportArguments, json: bool) -> anyhow::Result<Outcome> {
     let ExportArguments { capture, output, to, max_sigma } = arguments;
     check_output(output, &[capture])?;
+    if max_sigma.is_some() && ![Format::Colmap, Format::Nerfstudio].contains(to) {
+        return Err(
+            UsageError("--max-sigma is for --to colmap and nerfstudio: the others write all tags".to_owned()).into()
+        );
+    }
+    let max_sigma_m = max_sigma.unwrap_or(TRAINING_SIGMA_M);
     let tags = || read_tags(capture);
     let (written, lost) = match to {
         Format::Tum => tags().map(|Readout { found, losses, .. }| Ok((tum::tum(&found, output)?, losses)))?,
@@ -89,8 +99,8 @@ pub fn run(arguments: &ExportArguments, json: bool) -> anyhow::Result<Outcome> {
         Format::Overlays => overlays::overlays(capture, &tags()?.found, output),
         Format::Video => video::video(capture, &tags()?.found, output),
         Format::Foxglove => foxglove::foxglove(capture, &tags()?.found, output),
-        Format::Colmap => trainers::training_set(capture, Trainer::Colmap, *max_sigma, output),
-        Format::Nerfstudio => trainers::training_set(capture, Trainer::Nerfstudio, *max_sigma, output),
+        Format::Colmap => trainers::training_set(capture, Trainer::Colmap, max_sigma_m, output),
+        Format::Nerfstudio => trainers::training_set(capture, Trainer::Nerfstudio, max_sigma_m, output),
     }?;
     output::losses(&lost);
     let report = Report { output: output.clone(), written, lost };

@@ -3,7 +3,6 @@
 use std::collections::HashMap;
 use std::fmt::Write;
 use std::path::Path;
-use std::thread;
 use std::time::Instant;
 
 use anyhow::Context;
@@ -14,16 +13,17 @@ use super::super::output;
 use super::super::paths::{make_folder, write, write_bytes};
 use super::preview::{PREVIEWS, preview, sheet};
 use super::{Classes, Format, LabelsArguments, Report};
-use crate::database::{self, DatabaseError, ImageDatabase, Record};
+use crate::database::training_set::{is_held_out, precise_records};
+use crate::database::{self, ImageDatabase, Record, in_parallel};
 use crate::labels::coco::{Coco, CocoImage};
-use crate::labels::yolo::{self, BOOSTER_CLASSES, ClassList, LANDMARK_CLASSES};
-use crate::labels::{Class, Labeller, PoseCovariance, PosedImage, Visibility};
+use crate::labels::yolo;
+use crate::labels::{
+    BOOSTER_CLASSES, Class, ClassList, LANDMARK_CLASSES, Labeller, PoseCovariance, PosedImage, Visibility,
+};
 use crate::recording::Loss;
 
-/// Images that one thread labels before the results are written.
-const BATCH: usize = 8;
-/// Every n-th image is for the test of a detector.
-const HELD_OUT_EVERY: usize = 8;
+/// Images that are labelled before their results are put together.
+const BATCH: usize = 64;
 /// Folder of the images, from which YOLO's programs find the labels.
 const IMAGES: &str = "images";
 
@@ -44,48 +44,25 @@ struct Labelled {
 pub(super) fn label_all(arguments: &LabelsArguments, opened: &OpenedDatabase) -> anyhow::Result<Report> {
     let LabelsArguments { output: folder, max_sigma, .. } = arguments;
     let database = &opened.database;
-    let index = database.index();
-    if index.is_empty() {
-        return Err(DatabaseError::Empty.into());
-    }
-    let chosen: Vec<(usize, Record)> =
-        index.records().enumerate().filter(|(_, record)| record.tag().position_m <= *max_sigma).collect();
-    anyhow::ensure!(
-        !chosen.is_empty(),
-        "no image's place is known to {max_sigma} m: `realitysim refine CAPTURE` makes tags better, and --max-sigma takes worse ones"
-    );
+    let (chosen, imprecise) = precise_records(database, *max_sigma)?;
     let job = Job::new(arguments, database)?;
     job.make_folders()?;
     let start = Instant::now();
     let mut progress = output::Progress::new("labelling");
     let (mut done, mut unreadable) = (Vec::new(), Vec::new());
-    let threads = thread::available_parallelism().map_or(1, usize::from);
     let every = chosen.len().div_ceil(PREVIEWS).max(1);
-    for (batch, part) in chosen.chunks(BATCH * threads).enumerate() {
-        progress.set((batch * BATCH * threads) as u64, Some(chosen.len() as u64));
-        let first = batch * BATCH * threads;
-        let label = |(place, (number, record)): (usize, &(usize, Record))| {
+    for (batch, part) in chosen.chunks(BATCH).enumerate() {
+        let first = batch * BATCH;
+        progress.set(first as u64, Some(chosen.len() as u64));
+        let results = in_parallel(part.len(), |place| {
+            let (number, record) = &part[place];
             job.label(first + place, *number, record, (first + place).is_multiple_of(every))
-        };
-        let share = part.len().div_ceil(threads);
-        let results = thread::scope(|scope| {
-            let numbered: Vec<(usize, &(usize, Record))> = part.iter().enumerate().collect();
-            let label = &label;
-            let workers: Vec<_> = numbered
-                .chunks(share)
-                .map(|own| own.to_vec())
-                .map(|own| scope.spawn(move || own.into_iter().map(label).collect::<Vec<_>>()))
-                .collect();
-            workers.into_iter().map(|worker| worker.join()).collect::<Vec<_>>()
         });
         for result in results {
-            let labelled = result.map_err(|_| anyhow::anyhow!("a thread that labels images has failed"))?;
-            for one in labelled {
-                match one {
-                    Ok(labelled) => done.push(labelled),
-                    Err(Failure::Unreadable(why)) => unreadable.push(Loss::new(folder, why)),
-                    Err(Failure::Output(error)) => return Err(error),
-                }
+            match result {
+                Ok(labelled) => done.push(labelled),
+                Err(Failure::Unreadable(why)) => unreadable.push(Loss::new(folder, why)),
+                Err(Failure::Output(error)) => return Err(error),
             }
         }
     }
@@ -97,7 +74,7 @@ pub(super) fn label_all(arguments: &LabelsArguments, opened: &OpenedDatabase) ->
         unreadable.first().map(ToString::to_string).unwrap_or_default()
     );
     job.write_tables(&mut done)?;
-    Ok(report(arguments, opened, &done, index.len() - chosen.len(), seconds, unreadable))
+    Ok(report(arguments, opened, &done, imprecise, seconds, unreadable))
 }
 
 fn report(
@@ -150,8 +127,8 @@ impl<'a> Job<'a> {
         let sources = database.catalogue().sources.iter();
         let covariances = sources.map(database::covariances).collect::<Result<_, _>>()?;
         let classes = match arguments.classes {
-            Classes::Landmarks => LANDMARK_CLASSES,
-            Classes::Booster => BOOSTER_CLASSES,
+            None | Some(Classes::Landmarks) => LANDMARK_CLASSES,
+            Some(Classes::Booster) => BOOSTER_CLASSES,
         };
         Ok(Self { database, labeller, covariances, format: arguments.format, classes, folder: &arguments.output })
     }
@@ -286,7 +263,7 @@ impl<'a> Job<'a> {
     fn write_yolo(&self, done: &[Labelled]) -> anyhow::Result<()> {
         let list = |held_out: bool| -> String {
             let images = done.iter().enumerate();
-            let own = images.filter(|(place, _)| (place % HELD_OUT_EVERY == HELD_OUT_EVERY / 2) == held_out);
+            let own = images.filter(|(place, _)| is_held_out(*place) == held_out);
             own.map(|(_, labelled)| format!("./{IMAGES}/{}\n", labelled.file)).collect()
         };
         write(&self.folder.join("train.txt"), &list(false))?;

@@ -11,6 +11,7 @@ use serde::Serialize;
 use super::export::frames::{clear_folder, own_folder};
 use super::opened_database::OpenedDatabase;
 use super::paths::check_output;
+use super::settings::UsageError;
 use super::values::number;
 use super::{Outcome, output};
 use crate::database::TagLimits;
@@ -41,9 +42,9 @@ pub struct LabelsArguments {
     /// Folder to write, outside of any capture
     #[arg(short, long)]
     output: PathBuf,
-    /// Of yolo: a class for each kind of landmark, or the classes of Booster's RoboCup demo
-    #[arg(long, default_value = "landmarks")]
-    classes: Classes,
+    /// Of yolo: a class for each kind of landmark, or the classes of Booster's RoboCup demo [default: landmarks]
+    #[arg(long)]
+    classes: Option<Classes>,
     /// Only images whose place is known this well: standard deviation along its longer axis, 0.001 to 1
     #[arg(long, value_name = "M", default_value_t = TagLimits::default().sigma_m, value_parser = number(0.001..=1.0))]
     max_sigma: f64,
@@ -84,6 +85,11 @@ struct Report {
 pub fn run(arguments: &LabelsArguments, json: bool) -> anyhow::Result<Outcome> {
     let LabelsArguments { input, output, max_sigma, .. } = arguments;
     check_output(output, &[input])?;
+    if arguments.classes.is_some() && arguments.format != Format::Yolo {
+        return Err(
+            UsageError("--classes is for --format yolo: the other forms have classes of their own".to_owned()).into()
+        );
+    }
     own_folder(output)?;
     let report = OpenedDatabase::of(input, *max_sigma).and_then(|opened| dataset::label_all(arguments, &opened));
     if report.is_err() {

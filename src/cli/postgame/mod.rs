@@ -115,7 +115,6 @@ fn frames(tags: &[FrameTag], track: &[TrackedFrame], own: &[(i64, Isometry)]) ->
         GameFrame {
             stamp_ns,
             tagged: footprint_from_link.filter(|_| tag.valid).map(map_from_footprint),
-            reason: tag.reason.clone(),
             odometry: tracked.and_then(|tracked| tracked.odometry),
             lean_rad: tracked.and_then(|tracked| tracked.lean_rad),
             own: own_at(own, stamp_ns),

@@ -4,10 +4,7 @@
 
 use std::fmt::Write;
 
-use super::{LensFit, TrainerLens, TrainingSet};
-
-/// What is added to a pixel's coordinates, where the first pixel's centre is (0, 0).
-const FIRST_CENTRE: f64 = 0.5;
+use super::{FIRST_CENTRE, LensFit, TrainerLens, TrainingSet};
 
 /// `cameras.txt`.
 pub fn cameras(set: &TrainingSet) -> String {

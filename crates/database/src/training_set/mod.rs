@@ -63,6 +63,9 @@ const CELL_DIRECTION: f64 = 0.05;
 /// Every n-th image is held out, as is usual since LLFF (Mildenhall et al. 2019).
 const HELD_OUT_EVERY: usize = 8;
 
+/// What both formats add to a pixel's coordinates: the centre of their first pixel is (0.5, 0.5), ours is (0, 0).
+const FIRST_CENTRE: f64 = 0.5;
+
 /// Callback that gets the numbers of images read so far, and of all.
 pub type TrainingProgress<'a> = &'a mut dyn FnMut(u64, u64);
 
@@ -79,20 +82,7 @@ impl TrainingSet {
         max_sigma_m: f64,
         progress: TrainingProgress<'_>,
     ) -> Result<Self, DatabaseError> {
-        let index = database.index();
-        if index.is_empty() {
-            return Err(DatabaseError::Empty);
-        }
-        let precise: Vec<(usize, Record)> =
-            index.records().enumerate().filter(|(_, record)| record.tag().position_m <= max_sigma_m).collect();
-        let imprecise = index.len() - precise.len();
-        if precise.is_empty() {
-            let best = index.records().map(|record| record.tag().position_m).fold(f64::INFINITY, f64::min);
-            return Err(DatabaseError::Training(format!(
-                "no image's position is known to {max_sigma_m} m; the best is known to {best:.3} m: `realitysim refine CAPTURE` makes \
-                 poses better, and --max-sigma takes worse ones"
-            )));
-        }
+        let (precise, imprecise) = precise_records(database, max_sigma_m)?;
         let chosen = one_of_each_cell(&precise);
         let repeated = precise.len() - chosen.len();
         let (cameras, camera_of) = cameras(database, &chosen)?;
@@ -119,7 +109,7 @@ impl TrainingSet {
                 camera: camera_of[record.source as usize],
                 map_from_optical,
                 stamp_ns: record.stamp_ns,
-                held_out: images.len() % HELD_OUT_EVERY == HELD_OUT_EVERY / 2,
+                held_out: is_held_out(images.len()),
                 gain: seed_points::gain(&points, camera, &map_from_optical, image.full()),
             });
         }
@@ -137,6 +127,37 @@ impl TrainingImage {
     pub fn mask_file(&self) -> String {
         format!("{}.png", self.file())
     }
+}
+
+/// Whether an image of a training set is left out of the training, by its place among all.
+pub fn is_held_out(place: usize) -> bool {
+    place % HELD_OUT_EVERY == HELD_OUT_EVERY / 2
+}
+
+/// The images whose position has a standard deviation of at most `max_sigma_m` metres, and the number of others.
+///
+/// # Errors
+///
+/// [`DatabaseError::Empty`] without any image, [`DatabaseError::Training`] if none is known that well.
+pub fn precise_records(
+    database: &ImageDatabase,
+    max_sigma_m: f64,
+) -> Result<(Vec<(usize, Record)>, usize), DatabaseError> {
+    let index = database.index();
+    if index.is_empty() {
+        return Err(DatabaseError::Empty);
+    }
+    let precise: Vec<(usize, Record)> =
+        index.records().enumerate().filter(|(_, record)| record.tag().position_m <= max_sigma_m).collect();
+    if precise.is_empty() {
+        let best = index.records().map(|record| record.tag().position_m).fold(f64::INFINITY, f64::min);
+        return Err(DatabaseError::Training(format!(
+            "no image's position is known to {max_sigma_m} m; the best is known to {best:.3} m: `realitysim refine CAPTURE` makes \
+             poses better, and --max-sigma takes worse ones"
+        )));
+    }
+    let imprecise = index.len() - precise.len();
+    Ok((precise, imprecise))
 }
 
 /// The image of each cell that is known best, in the order of the database.

@@ -8,10 +8,8 @@ use std::fmt::Write;
 use glam::{DMat3, DVec3};
 use serde::Serialize;
 
-use super::{TrainerLens, TrainingImage, TrainingSet};
+use super::{FIRST_CENTRE, TrainerLens, TrainingImage, TrainingSet};
 
-/// What is added to a pixel's coordinates, where the first pixel's centre is (0, 0).
-const FIRST_CENTRE: f64 = 0.5;
 /// Folder of the images.
 pub const IMAGES: &str = "images";
 /// Folder of the masks.

@@ -154,7 +154,6 @@ mod tests {
             GameFrame {
                 stamp_ns: 100_000_000 * at as i64,
                 tagged: Some(pose),
-                reason: String::new(),
                 odometry: Some(Pose2 { x: 5.0 + 0.02 * at as f64, y: 1.0, yaw: 0.1 }),
                 lean_rad: Some(0.1),
                 own: Some(own(at, pose)),

@@ -14,14 +14,12 @@ pub use episodes::{Cause, Episode};
 pub use odometry::{DirectionFit, Motion, OdometryFit};
 
 /// One frame of a game.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GameFrame {
     /// Time of the exposure, nanoseconds.
     pub stamp_ns: i64,
     /// Pose of `base_footprint` in `map` by the tag; `None` if it is not valid.
     pub tagged: Option<Pose2>,
-    /// Reason why the tag is not valid; empty if it is.
-    pub reason: String,
     /// Pose of `base_footprint` in `odom`, if there is odometry.
     pub odometry: Option<Pose2>,
     /// Angle between the torso's axis and the vertical, radians, if it is measured.
