@@ -140,6 +140,8 @@ const SAME_RAD: f64 = 0.3;
 const KEPT: usize = 5;
 /// Poses of a survey that are worth a closer look.
 const SURVEYED: usize = 12;
+/// Of these, how many are worth it for each of the many mounts of a camera whose mount is not known.
+const CLIMBED_OF_SURVEYED: usize = 4;
 /// Standard deviation of the tilt of one view: what remains to the next view, and the error of the lens file.
 const TILT_SIGMA_RAD: f64 = 0.005;
 /// Step between the attitudes that are tried.
@@ -225,16 +227,19 @@ impl ImagePrior {
         let mut searcher = FieldSearch::new(field);
         let candidates = look.views.iter().map(|view| self.candidates(&view.seen, &mut searcher, seed));
         let candidates: Vec<Vec<Candidate>> = candidates.collect();
-        self.judged(look, field, &searcher.observation, &candidates)
+        self.judged(look, field, &searcher, &candidates)
     }
 
     /// The same by a survey of the field on a wide grid, and a closer look at its best places: several times as fast, and enough where
     /// many images or assumptions are compared.
-    pub(crate) fn locate_by_survey(&self, look: &Look, field: &Field, seed: u64) -> ImageLocation {
+    pub fn locate_by_survey(&self, look: &Look, field: &Field, seed: u64) -> ImageLocation {
         let mut survey = FieldSearch::for_survey(field);
-        let starts = self.surveyed(look, &mut survey, seed);
-        let candidates = self.climbed(look, &mut survey, &starts);
-        self.judged(look, field, &survey.observation, &[candidates])
+        let of_view = |View { seen, .. }: &View| {
+            let starts = self.surveyed(seen, &mut survey, seed);
+            self.climbed(seen, &mut survey, &starts)
+        };
+        let candidates: Vec<Vec<Candidate>> = look.views.iter().map(of_view).collect();
+        self.judged(look, field, &survey, &candidates)
     }
 
     /// Fits the candidates of each view of a look to the lines, and judges them by the image.
@@ -242,20 +247,20 @@ impl ImagePrior {
         &self,
         look: &Look,
         field: &Field,
-        observation: &Observation,
+        searched: &FieldSearch,
         candidates: &[Vec<Candidate>],
     ) -> ImageLocation {
+        let FieldSearch { observation, line_distances, .. } = searched;
         let mut refiner = Refiner::new(field, &self.lens);
-        let line_distances = LineDistanceMap::new(field);
         let mut found = Vec::new();
         for (view, candidates) in look.views.iter().zip(candidates) {
             found.extend(candidates.iter().map(|candidate| {
                 let start = candidate.pose.to_isometry() * view.footprint_from_link;
-                let unrefined = self.weighed(look, observation, &line_distances, start, None);
+                let unrefined = self.weighed(look, observation, line_distances, start, None);
                 let Some((pose, lines)) = self.refined(&mut refiner, &view.seen, &candidate.pose, &start) else {
                     return unrefined;
                 };
-                let refined = self.weighed(look, observation, &line_distances, pose, Some(lines));
+                let refined = self.weighed(look, observation, line_distances, pose, Some(lines));
                 // On a field that differs from its file, a refined pose may show less contrast than the one that it came from.
                 // The better of both is used to judge the pose.
                 let PoseHypothesis { share, weight, log_likelihood, .. } =
@@ -272,7 +277,7 @@ impl ImagePrior {
 
     /// The poses in the plane that explain one view best: on the whole field, or near the initial pose.
     fn candidates(&self, seen: &Observations, searcher: &mut FieldSearch, seed: u64) -> Vec<Candidate> {
-        let FieldSearch { observation, search } = searcher;
+        let FieldSearch { observation, search, .. } = searcher;
         match self.initial {
             None => {
                 let (mut state, mut effort) = (SearchState::default(), Effort::default());
@@ -284,30 +289,55 @@ impl ImagePrior {
         }
     }
 
-    /// The best poses in the plane with the given attitude and height alone, on a wide grid or near the initial pose; none if there is no
-    /// line in view.
-    pub(crate) fn surveyed(&self, look: &Look, survey: &mut FieldSearch, seed: u64) -> Vec<Candidate> {
-        let Some(View { seen, .. }) = look.views.first() else { return Vec::new() };
+    /// The best poses in the plane for one view, on a wide grid or near the initial pose; none if there is no line in view.
+    fn surveyed(&self, seen: &Observations, survey: &mut FieldSearch, seed: u64) -> Vec<Candidate> {
         match self.initial {
             None => survey.search.survey(&seen.table, SURVEYED),
             Some(initial) => vec![search_around(&survey.observation, seen, initial, seed)],
         }
     }
 
-    /// The best poses in the plane near `starts`, with the given attitude and height alone.
-    pub(crate) fn climbed(&self, look: &Look, survey: &mut FieldSearch, starts: &[Candidate]) -> Vec<Candidate> {
-        let Some(View { seen, .. }) = look.views.first() else { return Vec::new() };
-        let FieldSearch { observation, search } = survey;
+    /// The best poses in the plane for one view near `starts`.
+    fn climbed(&self, seen: &Observations, survey: &mut FieldSearch, starts: &[Candidate]) -> Vec<Candidate> {
+        let FieldSearch { observation, search, .. } = survey;
         search.run_from(observation, &seen.table, starts, KEPT)
     }
 
+    /// The best poses in the plane with the given attitude and height alone, by a survey and a closer look at its best places.
+    pub(crate) fn placed_by_survey(&self, picture: &Picture, survey: &mut FieldSearch, seed: u64) -> Vec<Candidate> {
+        let look = self.look_once(picture, survey.line_width_m);
+        let Some(View { seen, .. }) = look.views.first() else { return Vec::new() };
+        let mut starts = self.surveyed(seen, survey, seed);
+        starts.truncate(CLIMBED_OF_SURVEYED);
+        self.climbed(seen, survey, &starts)
+    }
+
+    /// The best poses in the plane with the given attitude and height alone, near `starts`.
+    pub(crate) fn placed_near(
+        &self,
+        picture: &Picture,
+        survey: &mut FieldSearch,
+        starts: &[Candidate],
+    ) -> Vec<Candidate> {
+        let look = self.look_once(picture, survey.line_width_m);
+        let Some(View { seen, .. }) = look.views.first() else { return Vec::new() };
+        self.climbed(seen, survey, starts)
+    }
+
     /// Fits a pose to the lines once more, from where it is; `None` if too few of them fit.
-    pub(crate) fn refit(&self, picture: &Picture, field: &Field, start: &PoseHypothesis) -> Option<PoseHypothesis> {
+    pub(crate) fn refit(
+        &self,
+        picture: &Picture,
+        field: &Field,
+        searched: &FieldSearch,
+        start: &PoseHypothesis,
+    ) -> Option<PoseHypothesis> {
         let look = self.look_once(picture, field.line_width());
-        let (mut refiner, line_distances) = (Refiner::new(field, &self.lens), LineDistanceMap::new(field));
+        let FieldSearch { observation, line_distances, .. } = searched;
+        let mut refiner = Refiner::new(field, &self.lens);
         let seen = &look.views.first()?.seen;
         let (pose, fitted) = self.refined(&mut refiner, seen, &start.place(), &start.map_from_link)?;
-        Some(self.weighed(&look, &FieldSearch::new(field).observation, &line_distances, pose, Some(fitted)))
+        Some(self.weighed(&look, observation, line_distances, pose, Some(fitted)))
     }
 
     /// The evidence for the best pose, with all poses found as the poses that were tried; `None` if none was found.
@@ -387,7 +417,9 @@ impl ImagePrior {
 
 /// What searching a field for poses needs.
 pub(crate) struct FieldSearch {
-    pub(crate) observation: Observation,
+    observation: Observation,
+    line_distances: LineDistanceMap,
+    line_width_m: f64,
     search: GlobalSearch,
 }
 
@@ -396,14 +428,14 @@ impl FieldSearch {
         let alpha = default_alpha(Formula::Corrected);
         let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);
         let search = GlobalSearch::new(field, SEARCH_MARGIN_M, &observation);
-        Self { observation, search }
+        Self { observation, line_distances: LineDistanceMap::new(field), line_width_m: field.line_width(), search }
     }
 
     /// The same on a wider grid, for [`ImagePrior::surveyed`].
     pub(crate) fn for_survey(field: &Field) -> Self {
-        let Self { observation, .. } = Self::new(field);
-        let search = GlobalSearch::for_survey(field, SEARCH_MARGIN_M, &observation);
-        Self { observation, search }
+        let whole = Self::new(field);
+        let search = GlobalSearch::for_survey(field, SEARCH_MARGIN_M, &whole.observation);
+        Self { search, ..whole }
     }
 }
 

@@ -51,15 +51,13 @@ const PITCHES_RAD: [f64; 2] = [-0.1, 1.1];
 /// Heights that are tried, metres: from the smallest humanoid to above the tallest (RoboCup Humanoid League rules: 0.4 to 2 m).
 const HEIGHTS_M: [f64; 2] = [0.25, 1.8];
 /// Step between pitches of the grid, radians.
-const PITCH_STEP_RAD: f64 = 0.085;
+const PITCH_STEP_RAD: f64 = 0.06;
 /// Ratio of two heights of the grid that follow each other.
-const HEIGHT_RATIO: f64 = 1.2;
+const HEIGHT_RATIO: f64 = 1.13;
 /// Steps around a mount in the finer rounds, as shares of the grid's.
 const ROUNDS: [f64; 3] = [0.5, 0.5, 0.25];
 /// Step of roll in the first finer round, radians; later ones go with the other steps. A robot on its feet leans little.
 const ROLL_STEP_RAD: f64 = 0.05;
-/// Number of mounts of the grid that are looked at more closely.
-const SURVEYED_MOUNTS: usize = 16;
 /// Number of mounts that go on to the next round.
 const KEPT_MOUNTS: usize = 5;
 /// Number of mounts whose poses are fitted to the lines.
@@ -77,16 +75,15 @@ impl UnknownMount {
     pub fn locate(&self, picture: &Picture, field: &Field, seed: u64) -> ImageLocation {
         let mut survey = FieldSearch::for_survey(field);
         let grid = self.grid().into_iter();
-        let surveyed: Vec<Tried> =
-            grid.filter_map(|mount| self.survey(picture, field, &mut survey, seed, mount)).collect();
-        let closer = best_distinct(&surveyed, SURVEYED_MOUNTS).into_iter();
-        let mut tried: Vec<Tried> =
-            closer.filter_map(|from| self.climb(picture, field, &mut survey, from.mount, &from.places)).collect();
+        let mut tried: Vec<Tried> = grid
+            .filter_map(|mount| Tried::new(mount, self.exactly(mount).placed_by_survey(picture, &mut survey, seed)))
+            .collect();
         for share in ROUNDS {
             for best in best_distinct(&tried, KEPT_MOUNTS) {
                 for finer in self.around(best.mount, share) {
                     if !tried.iter().any(|known| known.mount == finer) {
-                        tried.extend(self.climb(picture, field, &mut survey, finer, &best.places));
+                        let places = self.exactly(finer).placed_near(picture, &mut survey, &best.places);
+                        tried.extend(Tried::new(finer, places));
                     }
                 }
             }
@@ -148,30 +145,9 @@ impl UnknownMount {
         ]
     }
 
-    /// A mount with its best places by a wide grid; `None` if it shows no line.
-    fn survey(
-        &self,
-        picture: &Picture,
-        field: &Field,
-        survey: &mut FieldSearch,
-        seed: u64,
-        mount: Mount,
-    ) -> Option<Tried> {
-        let prior = self.prior(mount, 0.0, MEASURED_HEIGHT_SIGMA_M, self.initial);
-        Tried::new(mount, prior.surveyed(&prior.look_once(picture, field.line_width()), survey, seed))
-    }
-
-    /// A mount with its best places near those of a mount beside it.
-    fn climb(
-        &self,
-        picture: &Picture,
-        field: &Field,
-        survey: &mut FieldSearch,
-        mount: Mount,
-        places: &[Candidate],
-    ) -> Option<Tried> {
-        let prior = self.prior(mount, 0.0, MEASURED_HEIGHT_SIGMA_M, self.initial);
-        Tried::new(mount, prior.climbed(&prior.look_once(picture, field.line_width()), survey, places))
+    /// This mount as if it were known.
+    fn exactly(&self, mount: Mount) -> ImagePrior {
+        self.prior(mount, 0.0, MEASURED_HEIGHT_SIGMA_M, self.initial)
     }
 
     /// The poses of one mount, each fitted to the lines with attitude and height free.
@@ -184,14 +160,14 @@ impl UnknownMount {
         };
         let first = self.prior(mount, tilt_sigma_rad, height_sigma(mount.height_m), self.initial);
         let look = first.look_once(picture, field.line_width());
-        let located = first.judged(&look, field, &survey.observation, core::slice::from_ref(&tried.places));
+        let located = first.judged(&look, field, survey, core::slice::from_ref(&tried.places));
         let mut found = Vec::new();
         for start in located.found {
             let mut best = start;
             for _ in 1..FITS {
                 let mount = self.known_or(mount_of(&best.map_from_link));
                 let prior = self.prior(mount, tilt_sigma_rad, height_sigma(mount.height_m), self.initial);
-                match prior.refit(picture, field, &best) {
+                match prior.refit(picture, field, survey, &best) {
                     Some(better) => best = better,
                     None => break,
                 }

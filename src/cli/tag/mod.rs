@@ -9,7 +9,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::paths::{check_output, save};
-use super::photo::{self, OtherInputs, PhotoArguments};
+use super::photo::{self, Camera, OtherInputs, PhotoArguments};
 use super::settings::{check_initial, field_size, planar_pose};
 use super::values::any_whole;
 use super::{Outcome, output};
@@ -249,15 +249,18 @@ fn other_field(arguments: &TagArguments, image: &Path) -> anyhow::Result<Option<
         return Ok(None);
     }
     let beside = OtherInputs { lens: &arguments.lens, body_mask: arguments.body_mask.as_deref(), initial: None };
-    let (picture, camera) = arguments.photo.open_any(image, &beside)?;
-    let mut fields = Vec::new();
+    // Where attitude and height are free as well, too much fits by chance, and takes minutes.
+    let (picture, Camera::Known(prior)) = arguments.photo.open_any(image, &beside)? else { return Ok(None) };
+    let mut placed = Vec::new();
     for name in field_names() {
-        fields.push((name.clone(), Field::new(load_field_of_size(&name, None)?)?));
+        let field = Field::new(load_field_of_size(&name, None)?)?;
+        let located = prior.locate_by_survey(&prior.look(&picture, field.line_width()), &field, arguments.seed);
+        if located.fit() != FitQuality::None {
+            placed.push((name, located));
+        }
     }
-    let results = camera.locate(&picture, &fields, arguments.seed);
-    let placed = results.iter().filter(|(.., located)| located.fit() != FitQuality::None);
-    let best = placed.min_by(|a, b| a.2.fit().cmp(&b.2.fit()).then(score(&b.2).total_cmp(&score(&a.2))));
-    Ok(best.map(|(name, ..)| (*name).to_owned()))
+    let best = placed.into_iter().min_by(|a, b| a.1.fit().cmp(&b.1.fit()).then(score(&b.1).total_cmp(&score(&a.1))));
+    Ok(best.map(|(name, _)| name))
 }
 
 /// Log likelihood of the best pose.
