@@ -4,6 +4,7 @@
 //! Exit codes are 0 when done, 1 when something failed, 2 for wrong usage or config, 3 when done but data was lost.
 
 mod calibrate;
+mod catalogue;
 mod check;
 mod db;
 mod demo;
@@ -92,6 +93,7 @@ enum Command {
     // Captures at home.
     Sync(Box<sync::SyncArguments>),
     Sessions(sessions::SessionsArguments),
+    Catalogue(catalogue::CatalogueArguments),
     // Images of any pose.
     Db(db::DbArguments),
     View(view::ViewArguments),
@@ -143,6 +145,7 @@ pub fn run() -> ExitCode {
         Command::Labels(arguments) => labels::run(&arguments, json),
         Command::Sync(arguments) => sync::run(&arguments, json),
         Command::Sessions(arguments) => sessions::run(&arguments, json),
+        Command::Catalogue(arguments) => catalogue::run(&arguments, json),
         Command::Db(arguments) => db::run(&arguments, json),
         Command::View(arguments) => view::run(&arguments, json),
         Command::Serve(arguments) => serve::run(&arguments, json),
