@@ -5,6 +5,7 @@ mod broken;
 mod budget;
 mod calibrate;
 mod capture;
+mod catalogue;
 mod chains;
 mod channels;
 mod check;

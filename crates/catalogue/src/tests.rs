@@ -8,6 +8,7 @@ use proptest::prelude::*;
 
 use super::file::MAX_GROUP_ROWS;
 use super::*;
+use realitysim_config::plain_file;
 
 /// Seconds of a frame, and rows of a session: eleven minutes at 30 Hz.
 const FRAME_S: f64 = 1.0 / 30.0;
@@ -116,7 +117,7 @@ proptest! {
     fn a_damaged_file_is_an_error_or_read(place in 0.0..1.0, value: u8, cut: bool) {
         let folder = tempfile::tempdir().unwrap();
         let path = written(folder.path(), "a.parquet", &walk(1, 300));
-        let mut bytes = fs::read(&path).unwrap();
+        let mut bytes = plain_file::read(&path, u64::MAX).unwrap();
         let at = (place * bytes.len() as f64) as usize;
         if cut { bytes.truncate(at) } else { bytes[at] ^= value }
         fs::write(&path, bytes).unwrap();
@@ -157,7 +158,7 @@ fn a_file_of_a_newer_version_and_a_foreign_one_are_named() {
     fs::write(&path, parquet_of_rows(&head, &walk(1, 10)).unwrap()).unwrap();
     let said = read_head(&path).unwrap_err().to_string();
     assert!(said.contains("of catalogue format 2, and this program knows 1"), "{said}");
-    let bytes = fs::read(&path).unwrap();
+    let bytes = plain_file::read(&path, u64::MAX).unwrap();
     let key = b"realitysim.catalogue";
     let at = bytes.windows(key.len()).rposition(|part| part == key).unwrap();
     let foreign = [&bytes[..at], b"another.. .catalogue", &bytes[at + key.len()..]].concat();
