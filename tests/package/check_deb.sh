@@ -48,6 +48,7 @@ inside realitysim install && fail "install writes over the files of dpkg"
 # A config that was edited survives an upgrade and a removal; a capture survives everything.
 echo '# ours' >>"$root/etc/realitysim/robot.toml"
 mkdir "$root/var/lib/realitysim/captures/a-session"
+touch "$root/var/lib/realitysim/captures/last_state.bin"
 inside dpkg --install /realitysim.deb
 grep -q ours "$root/etc/realitysim/robot.toml" || fail "an upgrade lost the config"
 inside dpkg --remove realitysim

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import threading
 from typing import Any, AsyncIterator, Callable, Dict, Iterable, List, Mapping, Optional, TypeVar, Union
 
 import numpy as np
@@ -48,8 +49,8 @@ class AsyncClient:
     async def views(self, poses: Iterable[Mapping[str, Any]], **parameters: Any) -> AsyncIterator[Union[View, ServiceError]]:
         """Many views with one request, as they are made: ``Client.views``."""
         async with self._client() as client:
-            parts = await asyncio.to_thread(client.views, poses, **parameters)
-            while (view := await asyncio.to_thread(next, parts, None)) is not None:
+            parts = await _in_thread(client, lambda: client.views(poses, **parameters))
+            while (view := await _in_thread(client, lambda: next(parts, None))) is not None:
                 yield view
 
     async def info(self) -> Dict[str, Any]:
@@ -76,7 +77,7 @@ class AsyncClient:
 
     async def _with(self, work: Callable[[Client], T]) -> T:
         async with self._client() as client:
-            return await asyncio.to_thread(work, client)
+            return await _in_thread(client, lambda: work(client))
 
     @contextlib.asynccontextmanager
     async def _client(self) -> AsyncIterator[Client]:
@@ -86,8 +87,30 @@ class AsyncClient:
             try:
                 yield client
             except asyncio.CancelledError:
-                # The thread of a task that is cancelled waits for its answer still: another connection takes its place.
+                # The thread of a task that is cancelled still waits for its answer: another connection takes its place.
                 client = self._make()
                 raise
             finally:
                 self._idle.append(client)
+
+
+async def _in_thread(client: Client, work: Callable[[], T]) -> T:
+    """What the work gives; if nobody waits for it any more, the client is closed after it."""
+    abandoned, at_work = threading.Event(), threading.Event()
+
+    def run() -> T:
+        at_work.set()
+        try:
+            return work()
+        finally:
+            at_work.clear()
+            if abandoned.is_set():
+                client.close()
+
+    try:
+        return await asyncio.to_thread(run)
+    except asyncio.CancelledError:
+        abandoned.set()
+        if not at_work.is_set():
+            client.close()
+        raise

@@ -33,7 +33,8 @@ fn completions(shell: Shell, program: &Command) -> Vec<u8> {
 
 /// Adds the page of a command, then those of the commands in it.
 fn add_pages(command: &Command, files: &mut Vec<File>) -> std::io::Result<()> {
-    let page = Man::new(command.clone());
+    let page =
+        Man::new(command.clone()).source(concat!("realitysim ", env!("CARGO_PKG_VERSION"))).manual("Reality Sim");
     let mut content = Vec::new();
     page.render(&mut content)?;
     files.push((format!("usr/share/man/man1/{}", page.get_filename()), content));
