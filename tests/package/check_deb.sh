@@ -6,9 +6,11 @@ deb="$(realpath "$1")"
 say() { printf 'check_deb: %s\n' "$*" >&2; }
 fail() { say "$*" && exit 1; }
 
-# The address is a placeholder until there is a public one; nothing else may be found.
+# The address is a placeholder until there is a public one, Debian's own archive is not meant, and `realitysim install` looks whether dpkg
+# has the program. Nothing else may be found.
 if command -v lintian >/dev/null; then
-    lintian --fail-on error,warning --suppress-tags bogus-mail-host,bogus-mail-host-in-debian-changelog "$deb"
+    lintian --allow-root --fail-on error,warning \
+        --suppress-tags bogus-mail-host,bogus-mail-host-in-debian-changelog,initial-upload-closes-no-bugs,uses-dpkg-database-directly "$deb"
 else
     say "there is no lintian: not judged by it"
 fi
@@ -41,6 +43,8 @@ for file in lib/systemd/system/realitysim.service lib/udev/rules.d/99-realitysim
     [ -s "$root/usr/$file" ] || fail "/usr/$file is missing"
 done
 inside getent passwd realitysim >/dev/null || fail "the user is missing"
+# As the next boot does. The mount is gone with its namespace.
+unshare --mount sh -c 'mount --bind /proc "$1/proc" && chroot "$1" systemd-tmpfiles --create realitysim.conf' sh "$root"
 [ "$(inside stat -c '%U:%G %a' /var/lib/realitysim/captures)" = "realitysim:realitysim 2770" ] || fail "the folder of captures is wrong"
 [ ! -e "$root/etc/systemd/system/multi-user.target.wants/realitysim.service" ] || fail "the service was enabled"
 inside realitysim install && fail "install writes over the files of dpkg"
