@@ -11,6 +11,8 @@ work="$(mktemp -d)"
 trap 'rm -rf "$work"' EXIT
 cd "$work"
 "$bin/realitysim" --version
+# Another linker changes no bit of a tag.
+"$bin/realitysim" replay "$here/../../replay/scenes/demo.toml" --check "$here/../../replay/references/demo.jsonl"
 "$bin/realitysim" scene render "$here/../../replay/scenes/demo.toml" -o walk.mcap
 "$bin/realitysim" log cut walk.mcap --from 0 --to 3 -o piece.mcap
 "$bin/realitysim" replay piece.mcap -o captures/
