@@ -47,14 +47,14 @@ fn verdicts(report: &Report) -> String {
             "<tr><td>{}<td><b>{}</b><td>{}</tr>",
             verdict.name,
             escaped(&verdict_text(verdict)),
-            escaped(verdict.figure)
+            escaped(&verdict.figure.replace('`', ""))
         );
     }
     rows + "</table>"
 }
 
 fn missing(why: &str) -> String {
-    format!("<p><b>Missing:</b> {}.</p>", escaped(why))
+    format!("<p><b>Missing:</b> {}.</p>", escaped(&why.replace('`', "")))
 }
 
 fn taped(report: &Report, field: &Field) -> String {
@@ -228,18 +228,18 @@ pub fn places(field: &Field, crossings: &[Crossing]) -> String {
     let chosen = recommended(crossings);
     let mut picture =
         FieldSvg::new(field, &format!("{title}: crossings; x points to the right, heading 0; heading 90 is up"));
-    for crossing in crossings {
+    for (number, crossing) in crossings.iter().enumerate() {
         let is_chosen = chosen.iter().any(|other| other.name == crossing.name);
         picture.dot(crossing.at_m, if is_chosen { 6.0 } else { 3.0 }, if is_chosen { "#c22" } else { "#222" });
-        let left = if crossing.at_m.x > 0.7 * field.carpet_half_extent().x { -60.0 } else { 8.0 };
-        picture.words(crossing.at_m, DVec2::new(left, 16.0), 11.0, &crossing.name);
+        picture.words(crossing.at_m, DVec2::new(8.0, 18.0), 15.0, &(number + 1).to_string());
     }
-    let mut rows = String::from("<table><tr><th>mark<th>x, m<th>y, m</tr>");
-    for crossing in crossings {
+    let mut rows = String::from("<table><tr><th>number<th>mark<th>x, m<th>y, m</tr>");
+    for (number, crossing) in crossings.iter().enumerate() {
         let star = if chosen.iter().any(|other| other.name == crossing.name) { " *" } else { "" };
         let _ = write!(
             rows,
-            "<tr><td>at {} HEADING{star}<td>{:+.3}<td>{:+.3}</tr>",
+            "<tr><td>{}<td>at {} HEADING{star}<td>{:+.3}<td>{:+.3}</tr>",
+            number + 1,
             escaped(&crossing.name),
             crossing.at_m.x,
             crossing.at_m.y

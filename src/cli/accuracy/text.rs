@@ -105,7 +105,8 @@ pub fn halving(by: Halving) -> &'static str {
 
 /// The verdict of a use.
 pub fn verdict_text(verdict: &Use) -> String {
-    let value = verdict.value_cm.map_or("-".to_owned(), |value| format!("{value:.2} cm"));
+    let alone = if verdict.noise_alone { "noise alone " } else { "" };
+    let value = verdict.value_cm.map_or("-".to_owned(), |value| format!("{alone}{value:.2} cm"));
     let limit = format!("{value}, limit {:.1} cm", verdict.limit_cm);
     match (verdict.verdict, &verdict.missing) {
         (Verdict::Yes, _) => format!("yes ({limit})"),

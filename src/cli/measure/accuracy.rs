@@ -1,5 +1,6 @@
 //! Command `realitysim measure accuracy`: how well the measures of `accuracy` predict the true error.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -12,8 +13,9 @@ use crate::cli::paths::{cannot_read, temporary};
 use crate::cli::settings::UsageError;
 use crate::cli::{Outcome, output};
 use crate::config::{Settings, plain_file};
-use crate::evaluation::accuracy::validation::{FAULTS, Fault, TrueError, correlation};
+use crate::evaluation::accuracy::validation::{FAULTS, Fault, TrueError, correlation, range};
 use crate::evaluation::accuracy::{Crossing, crossings};
+use crate::evaluation::statistics::quantile;
 use crate::evaluation::truth;
 use crate::geometry::Field;
 use crate::localization::smoothing::Model;
@@ -64,10 +66,15 @@ struct Compared {
 struct Predicted {
     measure: &'static str,
     predicts: &'static str,
+    /// Runs with the measure, and different walks among them: runs of one walk share its images, and tell little more than one.
     runs: usize,
+    walks: usize,
+    /// Smallest and largest truth, centimetres.
+    truth_cm: Option<[f64; 2]>,
+    /// `None` if there are too few runs, or if the truth hardly varies.
     correlation: Option<f64>,
     /// Median of the measure over the truth.
-    ratio: f64,
+    ratio: Option<f64>,
 }
 
 const COMPARED: [Compared; 7] = [
@@ -217,15 +224,19 @@ fn marks(scene: &Scene, field: &Field) -> Vec<(i64, String)> {
 
 impl Compared {
     fn over(&self, runs: &[Run]) -> Predicted {
-        let pairs: Vec<(f64, f64)> = runs.iter().filter_map(self.pair).collect();
+        let with_pair = || runs.iter().filter_map(|run| Some((run, (self.pair)(run)?)));
+        let pairs: Vec<(f64, f64)> = with_pair().map(|(_, pair)| pair).collect();
+        let walks: BTreeSet<&str> = with_pair().map(|(run, _)| run.scene.as_str()).collect();
         let mut ratios: Vec<f64> = pairs.iter().map(|(measured, truth)| measured / truth).collect();
         ratios.sort_by(f64::total_cmp);
         Predicted {
             measure: self.name,
             predicts: self.against,
             runs: pairs.len(),
+            walks: walks.len(),
+            truth_cm: (!pairs.is_empty()).then(|| range(pairs.iter().map(|pair| pair.1))),
             correlation: correlation(&pairs),
-            ratio: crate::evaluation::statistics::quantile(&ratios, 0.5),
+            ratio: (!ratios.is_empty()).then(|| quantile(&ratios, 0.5)),
         }
     }
 }
@@ -239,13 +250,17 @@ impl Validation {
 
     fn tables(&self) -> String {
         let mut text = String::from(
-            "| measure | predicts | runs | correlation | measure / truth, median | cannot see |\n| --- | --- | --- | --- | --- | --- |\n",
+            "| measure | predicts | runs (walks) | truth, cm | correlation | measure / truth, median | cannot see |\n\
+             | --- | --- | --- | --- | --- | --- | --- |\n",
         );
-        for (compared, Predicted { measure, predicts, runs, correlation, ratio }) in
-            COMPARED.iter().zip(&self.predicted)
-        {
-            let correlation = correlation.map_or("-".to_owned(), |value| format!("{value:.2}"));
-            text += &format!("| {measure} | {predicts} | {runs} | {correlation} | {ratio:.2} | {} |\n", compared.blind);
+        let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+        for (compared, predicted) in COMPARED.iter().zip(&self.predicted) {
+            let Predicted { measure, predicts, runs, walks, truth_cm, correlation, ratio } = predicted;
+            let truth = truth_cm.map_or("-".to_owned(), |[low, high]| format!("{low:.2} to {high:.2}"));
+            let (correlation, ratio, blind) = (number(*correlation), number(*ratio), compared.blind);
+            text += &format!(
+                "| {measure} | {predicts} | {runs} ({walks}) | {truth} | {correlation} | {ratio} | {blind} |\n"
+            );
         }
         text += "\nIn centimetres:\n\n| walk | fault | true error | its offset | the rest | taped | opposite | metres | sides | fit moves | image, px \
                  | field | verdicts |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n";

@@ -165,6 +165,15 @@ fn correlation_agrees_with_numpy() {
     assert_eq!(correlation(&[(1.0, 1.0); 5]), None);
 }
 
+/// A true error that differs by a hundredth of a centimetre correlates perfectly with noise.
+#[test]
+fn a_truth_that_hardly_varies_gives_no_correlation() {
+    let pairs = [(0.070, 0.020), (0.071, 0.021), (0.072, 0.022), (0.073, 0.023)];
+    assert_eq!(correlation(&pairs), None);
+    let spread = pairs.map(|(measure, truth)| (measure, truth * if truth > 0.021 { 3.0 } else { 1.0 }));
+    assert!(correlation(&spread).is_some());
+}
+
 #[test]
 fn the_true_error_is_that_of_the_pose() {
     let pose = |x, yaw| Isometry::from_euler(Euler { roll: 0.0, pitch: 0.0, yaw }, [x, 0.0, 0.5].into());

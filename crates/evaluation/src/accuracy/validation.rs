@@ -54,8 +54,17 @@ impl TrueError {
     }
 }
 
-/// Pearson's correlation of pairs; `None` of fewer than three, or if one side does not vary.
+/// The largest truth over the smallest below which a correlation says nothing of prediction: a few hundredths of a centimetre are
+/// noise of the rendering, and correlate with anything.
+pub const MIN_RANGE: f64 = 2.0;
+
+/// Pearson's correlation of measures with the truth, which comes second. `None` of fewer than three pairs, if the truth varies by less
+/// than [`MIN_RANGE`], or if the measure does not vary.
 pub fn correlation(pairs: &[(f64, f64)]) -> Option<f64> {
+    let [low, high] = range(pairs.iter().map(|pair| pair.1));
+    if pairs.len() < 3 || high < MIN_RANGE * low {
+        return None;
+    }
     let count = pairs.len() as f64;
     let (sum_x, sum_y) = pairs.iter().fold((0.0, 0.0), |(x, y), pair| (x + pair.0, y + pair.1));
     let (mean_x, mean_y) = (sum_x / count, sum_y / count);
@@ -65,5 +74,10 @@ pub fn correlation(pairs: &[(f64, f64)]) -> Option<f64> {
         sums = [sums[0] + x * x, sums[1] + y * y, sums[2] + x * y];
     }
     let [xx, yy, xy] = sums;
-    (pairs.len() >= 3 && xx > 0.0 && yy > 0.0).then(|| xy / libm::sqrt(xx * yy))
+    (xx > 0.0 && yy > 0.0).then(|| xy / libm::sqrt(xx * yy))
+}
+
+/// Smallest and largest of values; not finite of none.
+pub fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
 }

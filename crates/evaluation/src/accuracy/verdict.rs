@@ -27,8 +27,10 @@ pub struct Use {
     pub figure: &'static str,
     /// The limit, centimetres.
     pub limit_cm: f64,
-    /// The figure, centimetres, if it was measured.
+    /// The figure, centimetres, or without taped places the noise alone.
     pub value_cm: Option<f64>,
+    /// Whether `value_cm` is the noise alone, which is part of the figure.
+    pub noise_alone: bool,
     /// Whether they are good enough.
     pub verdict: Verdict,
     /// Why there is no verdict.
@@ -69,12 +71,9 @@ pub fn verdicts(
             (false, Some(_)) => Verdict::Yes,
             (false, None) => Verdict::NotShown,
         };
-        let missing = (verdict == Verdict::NotShown).then(|| {
-            format!(
-                "it takes marks on {MIN_CROSSINGS} crossings, each with opposite headings; noise alone refutes nothing"
-            )
-        });
-        Use { name, figure, limit_cm, value_cm, verdict, missing }
+        let missing = (verdict == Verdict::NotShown)
+            .then(|| format!("it takes marks on {MIN_CROSSINGS} crossings, each with opposite headings"));
+        Use { name, figure, limit_cm, value_cm, noise_alone: shown_cm.is_none(), verdict, missing }
     };
     let consistent = enough.and(turning_cm).zip(noise_cm).map(|(turning, noise)| libm::hypot(turning, noise));
     vec![
