@@ -67,7 +67,8 @@ pub fn estimate_delay(path: &Path, settings: &Settings) -> Result<DelayReport, D
     })
 }
 
-fn newest_capture(path: &Path) -> Result<PathBuf, DelayReportError> {
+/// The log or capture itself; of a folder of captures the newest.
+pub fn newest_capture(path: &Path) -> Result<PathBuf, DelayReportError> {
     if path.is_file() || path.join("session.json").is_file() {
         return Ok(path.to_owned());
     }

@@ -14,7 +14,7 @@ use serde::Serialize;
 use crate::config::{Settings, load_lens};
 use crate::log_input::body_mask;
 
-pub use delay::{DelayReport, DelayReportError, estimate_delay};
+pub use delay::{DelayReport, DelayReportError, estimate_delay, newest_capture};
 
 /// One line of the report.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -1,5 +1,6 @@
 //! The agent as on a robot: a simulated walk comes in real time over a socket (frames) and a serial line (MAVLink).
 
+mod calibration;
 mod delay;
 mod doctor;
 mod load;

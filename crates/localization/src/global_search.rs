@@ -25,6 +25,7 @@ pub struct Candidate {
 /// Searches one field for a robot.
 #[derive(Clone, Debug)]
 pub struct GlobalSearch {
+    spacing: Spacing,
     /// Positions of the grid, in an order in which any part of them covers the field evenly.
     places: Vec<[f64; 2]>,
     /// An observation model with fewer line points, which suffices to tell where a closer look is worthwhile.
@@ -33,6 +34,17 @@ pub struct GlobalSearch {
     widened: GroundTable,
     /// Line points in view of the poses that are weighed.
     near: Points,
+}
+
+/// How far the poses of a grid lie apart, and what makes up for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Spacing {
+    /// Step in x and y, metres.
+    step_m: f64,
+    /// Number of headings at each position; at most [`TURNS`].
+    turns: usize,
+    /// Widening of every line on each side, metres: it makes up for what half a step moves a line.
+    widened_m: f64,
 }
 
 /// Progress of a search that takes several frames.
@@ -102,14 +114,14 @@ impl SearchState {
     }
 }
 
-/// Step of the grid in x and y, metres. [`WIDENED_M`] makes up for what half a step moves a line.
-const STEP_M: f64 = 0.15;
-/// Number of headings at each position of the grid.
+/// The grid of a search.
+const SEARCH: Spacing = Spacing { step_m: 0.15, turns: TURNS, widened_m: 0.07 };
+/// The grid of a survey, an eighth of the poses of a search.
+const SURVEY: Spacing = Spacing { step_m: 0.3, turns: TURNS / 2, widened_m: 0.14 };
+/// Number of headings at each position of the grid of a search.
 const TURNS: usize = 80;
 /// Neighbouring headings for which the line points in view are selected together.
 const HEADINGS_TOGETHER: usize = 8;
-/// Widening of every line on each side for the grid, metres.
-const WIDENED_M: f64 = 0.07;
 /// On the grid one in so many line points is used.
 const SPARSE_STEP: usize = 3;
 /// Number of frames within which a fast search has tried the grid, whatever the clock says: 1.5 s at 10 Hz.
@@ -146,15 +158,26 @@ impl GlobalSearch {
     ///
     /// A field looks the same from both goals, so each pose stands for its mirror pose as well.
     pub fn new(field: &Field, margin_m: f64, observation: &Observation) -> Self {
+        Self::on_grid(SEARCH, field, margin_m, observation)
+    }
+
+    /// Makes a search for [`survey`](Self::survey), on a wider grid.
+    pub fn for_survey(field: &Field, margin_m: f64, observation: &Observation) -> Self {
+        Self::on_grid(SURVEY, field, margin_m, observation)
+    }
+
+    fn on_grid(spacing: Spacing, field: &Field, margin_m: f64, observation: &Observation) -> Self {
+        let step_m = spacing.step_m;
         let half = field.carpet_half_extent();
-        let steps = |half: f64| libm::ceil((half + margin_m) / STEP_M) as i32;
+        let steps = |half: f64| libm::ceil((half + margin_m) / step_m) as i32;
         let (columns, rows) = (steps(half.x), steps(half.y));
         let grid: Vec<[f64; 2]> = (0..=columns)
-            .flat_map(|column| (-rows..=rows).map(move |row| [f64::from(column) * STEP_M, f64::from(row) * STEP_M]))
+            .flat_map(|column| (-rows..=rows).map(move |row| [f64::from(column) * step_m, f64::from(row) * step_m]))
             .collect();
         let stride = golden_stride(grid.len());
         let places = (0..grid.len()).map(|index| grid[index * stride % grid.len()]).collect();
         Self {
+            spacing,
             places,
             sparse: observation.sparse(SPARSE_STEP),
             widened: GroundTable::default(),
@@ -172,7 +195,7 @@ impl GlobalSearch {
         effort: &mut Effort,
         has_time: &mut TimeCheck,
     ) -> Option<Vec<Candidate>> {
-        table.widen(WIDENED_M, &mut self.widened);
+        table.widen(self.spacing.widened_m, &mut self.widened);
         if state.climbed.is_none() && !self.try_grid(rate, state, effort, has_time) {
             return None;
         }
@@ -185,16 +208,54 @@ impl GlobalSearch {
                 return None;
             }
             *climbed += 1;
-            // Half a step of the grid away from the right pose, the table itself has no gradient towards it; widened lines do,
-            // but their maximum is not exact.
-            let points = &mut self.near;
-            let near = climb(&self.sparse, &self.widened, *candidate, points, effort);
-            let nearest = best_around(observation, table, &near.pose, points, effort);
-            *candidate = climb(observation, table, nearest, points, effort);
+            *candidate = self.climbed(observation, table, *candidate, effort);
         }
         let mut found = core::mem::take(state).found;
         keep_best(&mut found, CLIMBED);
         Some(distinct(&found, candidates))
+    }
+
+    /// The best poses of the grid as they are, best first: where a search for the exact pose is worthwhile.
+    pub fn survey(&mut self, table: &GroundTable, candidates: usize) -> Vec<Candidate> {
+        table.widen(self.spacing.widened_m, &mut self.widened);
+        let mut state = SearchState::default();
+        let rate = SearchRate::Fast;
+        self.try_grid(rate, &mut state, &mut Effort::default(), &mut super::filter::always);
+        distinct(&state.found, candidates)
+    }
+
+    /// The best poses near `starts`, best first, as a search of the whole field would find them from there.
+    pub fn run_from(
+        &mut self,
+        observation: &Observation,
+        table: &GroundTable,
+        starts: &[Candidate],
+        candidates: usize,
+    ) -> Vec<Candidate> {
+        table.widen(SEARCH.widened_m, &mut self.widened);
+        let mut effort = Effort::default();
+        let each = starts.iter().map(|start| {
+            let log_likelihood = self.sparse.log_likelihood(&self.widened, &start.pose);
+            self.climbed(observation, table, Candidate { log_likelihood, ..*start }, &mut effort)
+        });
+        let mut found: Vec<Candidate> = each.collect();
+        keep_best(&mut found, CLIMBED);
+        distinct(&found, candidates)
+    }
+
+    /// The maximum near a pose of the grid. Half a step of the grid away from the right pose, the table itself has no gradient towards
+    /// it; widened lines do, but their maximum is not exact.
+    fn climbed(
+        &mut self,
+        observation: &Observation,
+        table: &GroundTable,
+        start: Candidate,
+        effort: &mut Effort,
+    ) -> Candidate {
+        let points = &mut self.near;
+        let near = climb(&self.sparse, &self.widened, start, points, effort);
+        let nearest = best_around(observation, table, &near.pose, points, effort);
+        climb(observation, table, nearest, points, effort)
     }
 
     /// Tries positions of the grid until time is up. Returns whether all have been tried: then `state` holds the best distinct poses.
@@ -208,10 +269,12 @@ impl GlobalSearch {
         let SearchState { tried, found, .. } = state;
         let (mut done, least) = (0, rate.min_places(self.places.len()));
         for [x, y] in self.places.get(*tried as usize..).unwrap_or_default() {
+            let turns = self.spacing.turns;
             let mut headings: [Candidate; TURNS] = core::array::from_fn(|turn| {
-                let pose = Pose2::new(*x, *y, wrap_angle(TAU * turn as f64 / TURNS as f64));
+                let pose = Pose2::new(*x, *y, wrap_angle(TAU * turn as f64 / turns as f64));
                 Candidate { pose, log_likelihood: 0.0 }
             });
+            let headings = &mut headings[..turns];
             for beside in headings.chunks_mut(HEADINGS_TOGETHER) {
                 let poses: [Pose2; HEADINGS_TOGETHER] = core::array::from_fn(|index| beside[index].pose);
                 self.sparse.look_near(&self.widened, &poses, &mut self.near);
@@ -219,8 +282,8 @@ impl GlobalSearch {
                     *log_likelihood = self.sparse.log_likelihood_near(&self.widened, pose, &self.near);
                 }
             }
-            found.extend(two_best_headings(&headings));
-            effort.weighed += TURNS as u32;
+            found.extend(two_best_headings(headings));
+            effort.weighed += turns as u32;
             *tried += 1;
             done += 1;
             if done >= least && !has_time(effort.weighed) {

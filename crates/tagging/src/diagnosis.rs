@@ -314,7 +314,8 @@ impl DiagnosisInput<'_> {
         let attitude = Euler { yaw: 0.0, pitch, roll };
         let (tilt_sigma_rad, height_sigma_m) = (TILT_SIGMA_RAD, MEASURED_HEIGHT_SIGMA_M);
         let known = ImagePrior { lens, attitude, tilt_sigma_rad, height_m, height_sigma_m, initial: None, body };
-        let located = known.locate(&known.look(&picture, field.line_width()), &field, self.settings.filter.seed);
+        let look = known.look_once(&picture, field.line_width());
+        let located = known.locate_by_survey(&look, &field, self.settings.filter.seed);
         let PoseHypothesis { log_likelihood, explained, lines, .. } = *located.found.first()?;
         let explained = log_likelihood.max(0.0) * lines.share * explained;
         Some(Located { fit: located.fit(), log_likelihood, explained })

@@ -43,6 +43,7 @@
 pub mod board_calibration;
 mod budget;
 pub mod calibrated_lens;
+pub mod calibration_check;
 pub mod checkpoint;
 pub mod cut;
 pub mod dead_reckoning;

@@ -138,6 +138,8 @@ const SAME_RAD: f64 = 0.3;
 
 /// Most poses that are returned.
 const KEPT: usize = 5;
+/// Poses of a survey that are worth a closer look.
+const SURVEYED: usize = 12;
 /// Standard deviation of the tilt of one view: what remains to the next view, and the error of the lens file.
 const TILT_SIGMA_RAD: f64 = 0.005;
 /// Step between the attitudes that are tried.
@@ -221,12 +223,32 @@ impl ImagePrior {
     /// Finds the poses on a field that explain what the image shows. `look` is of lines as wide as the field's, `seed` is for the particles around an initial pose.
     pub fn locate(&self, look: &Look, field: &Field, seed: u64) -> ImageLocation {
         let mut searcher = FieldSearch::new(field);
+        let candidates = look.views.iter().map(|view| self.candidates(&view.seen, &mut searcher, seed));
+        let candidates: Vec<Vec<Candidate>> = candidates.collect();
+        self.judged(look, field, &searcher.observation, &candidates)
+    }
+
+    /// The same by a survey of the field on a wide grid, and a closer look at its best places: several times as fast, and enough where
+    /// many images or assumptions are compared.
+    pub(crate) fn locate_by_survey(&self, look: &Look, field: &Field, seed: u64) -> ImageLocation {
+        let mut survey = FieldSearch::for_survey(field);
+        let starts = self.surveyed(look, &mut survey, seed);
+        let candidates = self.climbed(look, &mut survey, &starts);
+        self.judged(look, field, &survey.observation, &[candidates])
+    }
+
+    /// Fits the candidates of each view of a look to the lines, and judges them by the image.
+    pub(crate) fn judged(
+        &self,
+        look: &Look,
+        field: &Field,
+        observation: &Observation,
+        candidates: &[Vec<Candidate>],
+    ) -> ImageLocation {
         let mut refiner = Refiner::new(field, &self.lens);
         let line_distances = LineDistanceMap::new(field);
         let mut found = Vec::new();
-        for view in &look.views {
-            let candidates = self.candidates(&view.seen, &mut searcher, seed);
-            let observation = &searcher.observation;
+        for (view, candidates) in look.views.iter().zip(candidates) {
             found.extend(candidates.iter().map(|candidate| {
                 let start = candidate.pose.to_isometry() * view.footprint_from_link;
                 let unrefined = self.weighed(look, observation, &line_distances, start, None);
@@ -262,17 +284,21 @@ impl ImagePrior {
         }
     }
 
-    /// The best pose in the plane with the given attitude and height alone; `None` if there is no line in view.
-    pub(crate) fn best_candidate(
-        &self,
-        picture: &Picture,
-        line_width_m: f64,
-        searcher: &mut FieldSearch,
-        seed: u64,
-    ) -> Option<Candidate> {
-        let look = self.look_once(picture, line_width_m);
-        let candidates = self.candidates(&look.views.first()?.seen, searcher, seed);
-        candidates.into_iter().max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))
+    /// The best poses in the plane with the given attitude and height alone, on a wide grid or near the initial pose; none if there is no
+    /// line in view.
+    pub(crate) fn surveyed(&self, look: &Look, survey: &mut FieldSearch, seed: u64) -> Vec<Candidate> {
+        let Some(View { seen, .. }) = look.views.first() else { return Vec::new() };
+        match self.initial {
+            None => survey.search.survey(&seen.table, SURVEYED),
+            Some(initial) => vec![search_around(&survey.observation, seen, initial, seed)],
+        }
+    }
+
+    /// The best poses in the plane near `starts`, with the given attitude and height alone.
+    pub(crate) fn climbed(&self, look: &Look, survey: &mut FieldSearch, starts: &[Candidate]) -> Vec<Candidate> {
+        let Some(View { seen, .. }) = look.views.first() else { return Vec::new() };
+        let FieldSearch { observation, search } = survey;
+        search.run_from(observation, &seen.table, starts, KEPT)
     }
 
     /// Fits a pose to the lines once more, from where it is; `None` if too few of them fit.
@@ -361,7 +387,7 @@ impl ImagePrior {
 
 /// What searching a field for poses needs.
 pub(crate) struct FieldSearch {
-    observation: Observation,
+    pub(crate) observation: Observation,
     search: GlobalSearch,
 }
 
@@ -370,6 +396,13 @@ impl FieldSearch {
         let alpha = default_alpha(Formula::Corrected);
         let observation = Observation::new(field, LINE_POINTS, Formula::Corrected, alpha, SimdPath::Auto);
         let search = GlobalSearch::new(field, SEARCH_MARGIN_M, &observation);
+        Self { observation, search }
+    }
+
+    /// The same on a wider grid, for [`ImagePrior::surveyed`].
+    pub(crate) fn for_survey(field: &Field) -> Self {
+        let Self { observation, .. } = Self::new(field);
+        let search = GlobalSearch::for_survey(field, SEARCH_MARGIN_M, &observation);
         Self { observation, search }
     }
 }

@@ -1,10 +1,12 @@
 //! Locates an image whose tilt or height is not known: both are found from the field lines, together with the place.
 //!
-//! Mounts are tried on a grid, from coarse to fine: each is one look at the ground and one search of the field. The best ones are
+//! Mounts are tried on a grid: each is one look at the ground and one survey of the field on a wide grid of places. Around the best of
+//! them finer steps are tried, each from the places of the mount beside it. The best ones are
 //! fitted to the lines with attitude and height free. Lines determine them only if there are enough of them in view; otherwise,
 //! or if two solutions differ, [`ImageLocation::fit`] is `None`.
 
 use realitysim_geometry::{Euler, Field, Isometry, Lens, Pose2};
+use realitysim_localization::global_search::Candidate;
 use realitysim_vision::{BodyMask, Picture};
 
 use crate::single_image::{
@@ -34,6 +36,16 @@ struct Mount {
     height_m: f64,
 }
 
+/// A mount that was tried.
+#[derive(Clone, Debug)]
+struct Tried {
+    mount: Mount,
+    /// Its best places on the field, best first; at least one.
+    places: Vec<Candidate>,
+    /// Log likelihood of the best place.
+    log_likelihood: f64,
+}
+
 /// Pitches that are tried, radians: from slightly above the horizon to steeply down, as heads of humanoids look.
 const PITCHES_RAD: [f64; 2] = [-0.1, 1.1];
 /// Heights that are tried, metres: from the smallest humanoid to above the tallest (RoboCup Humanoid League rules: 0.4 to 2 m).
@@ -46,6 +58,8 @@ const HEIGHT_RATIO: f64 = 1.2;
 const ROUNDS: [f64; 3] = [0.5, 0.5, 0.25];
 /// Step of roll in the first finer round, radians; later ones go with the other steps. A robot on its feet leans little.
 const ROLL_STEP_RAD: f64 = 0.05;
+/// Number of mounts of the grid that are looked at more closely.
+const SURVEYED_MOUNTS: usize = 16;
 /// Number of mounts that go on to the next round.
 const KEPT_MOUNTS: usize = 5;
 /// Number of mounts whose poses are fitted to the lines.
@@ -61,23 +75,25 @@ const KEPT: usize = 5;
 impl UnknownMount {
     /// Finds the poses on a field that explain what the image shows. `seed` is for the particles around an initial pose.
     pub fn locate(&self, picture: &Picture, field: &Field, seed: u64) -> ImageLocation {
-        let mut tried: Vec<(Mount, f64)> = Vec::new();
-        let mut searcher = FieldSearch::new(field);
-        for mount in self.grid() {
-            self.try_mount(picture, field.line_width(), &mut searcher, seed, mount, &mut tried);
-        }
+        let mut survey = FieldSearch::for_survey(field);
+        let grid = self.grid().into_iter();
+        let surveyed: Vec<Tried> =
+            grid.filter_map(|mount| self.survey(picture, field, &mut survey, seed, mount)).collect();
+        let closer = best_distinct(&surveyed, SURVEYED_MOUNTS).into_iter();
+        let mut tried: Vec<Tried> =
+            closer.filter_map(|from| self.climb(picture, field, &mut survey, from.mount, &from.places)).collect();
         for share in ROUNDS {
-            for mount in best_distinct(&tried, KEPT_MOUNTS) {
-                for finer in self.around(mount, share) {
-                    if !tried.iter().any(|(known, _)| *known == finer) {
-                        self.try_mount(picture, field.line_width(), &mut searcher, seed, finer, &mut tried);
+            for best in best_distinct(&tried, KEPT_MOUNTS) {
+                for finer in self.around(best.mount, share) {
+                    if !tried.iter().any(|known| known.mount == finer) {
+                        tried.extend(self.climb(picture, field, &mut survey, finer, &best.places));
                     }
                 }
             }
         }
         let mut found: Vec<PoseHypothesis> = Vec::new();
-        for mount in best_distinct(&tried, FITTED_MOUNTS) {
-            found.extend(self.fitted(picture, field, seed, mount));
+        for best in best_distinct(&tried, FITTED_MOUNTS) {
+            found.extend(self.fitted(picture, field, &survey, &best));
         }
         // Log likelihoods of different heights are of different amounts of field in view: what chance explains is not.
         let is_possible = |height_m: f64| self.height_m.is_some() || is_possible_height(height_m);
@@ -132,31 +148,43 @@ impl UnknownMount {
         ]
     }
 
-    /// Adds a mount with the log likelihood of its best pose on the field.
-    fn try_mount(
+    /// A mount with its best places by a wide grid; `None` if it shows no line.
+    fn survey(
         &self,
         picture: &Picture,
-        line_width_m: f64,
-        searcher: &mut FieldSearch,
+        field: &Field,
+        survey: &mut FieldSearch,
         seed: u64,
         mount: Mount,
-        tried: &mut Vec<(Mount, f64)>,
-    ) {
+    ) -> Option<Tried> {
         let prior = self.prior(mount, 0.0, MEASURED_HEIGHT_SIGMA_M, self.initial);
-        if let Some(candidate) = prior.best_candidate(picture, line_width_m, searcher, seed) {
-            tried.push((mount, candidate.log_likelihood));
-        }
+        Tried::new(mount, prior.surveyed(&prior.look_once(picture, field.line_width()), survey, seed))
+    }
+
+    /// A mount with its best places near those of a mount beside it.
+    fn climb(
+        &self,
+        picture: &Picture,
+        field: &Field,
+        survey: &mut FieldSearch,
+        mount: Mount,
+        places: &[Candidate],
+    ) -> Option<Tried> {
+        let prior = self.prior(mount, 0.0, MEASURED_HEIGHT_SIGMA_M, self.initial);
+        Tried::new(mount, prior.climbed(&prior.look_once(picture, field.line_width()), survey, places))
     }
 
     /// The poses of one mount, each fitted to the lines with attitude and height free.
-    fn fitted(&self, picture: &Picture, field: &Field, seed: u64, mount: Mount) -> Vec<PoseHypothesis> {
+    fn fitted(&self, picture: &Picture, field: &Field, survey: &FieldSearch, tried: &Tried) -> Vec<PoseHypothesis> {
+        let mount = tried.mount;
         let tilt_sigma_rad = self.attitude.map_or(TILT_SIGMA_RAD, |(_, sigma_rad)| sigma_rad);
         let height_sigma = |height_m: f64| match self.height_m {
             Some(_) => MEASURED_HEIGHT_SIGMA_M,
             None => HEIGHT_SIGMA_SHARE * height_m,
         };
         let first = self.prior(mount, tilt_sigma_rad, height_sigma(mount.height_m), self.initial);
-        let located = first.locate(&first.look_once(picture, field.line_width()), field, seed);
+        let look = first.look_once(picture, field.line_width());
+        let located = first.judged(&look, field, &survey.observation, core::slice::from_ref(&tried.places));
         let mut found = Vec::new();
         for start in located.found {
             let mut best = start;
@@ -204,21 +232,28 @@ fn is_possible_height(height_m: f64) -> bool {
     (HEIGHTS_M[0] / HEIGHT_RATIO..=HEIGHTS_M[1] * HEIGHT_RATIO).contains(&height_m)
 }
 
+impl Tried {
+    fn new(mount: Mount, places: Vec<Candidate>) -> Option<Self> {
+        let log_likelihood = places.first()?.log_likelihood;
+        Some(Self { mount, places, log_likelihood })
+    }
+}
+
 /// The best mounts, best first, of which no two are neighbours on the grid.
-fn best_distinct(tried: &[(Mount, f64)], count: usize) -> Vec<Mount> {
-    let mut ranked = tried.to_vec();
-    ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
+fn best_distinct(tried: &[Tried], count: usize) -> Vec<Tried> {
+    let mut ranked: Vec<&Tried> = tried.iter().collect();
+    ranked.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
     let are_near = |a: &Mount, b: &Mount| {
         let ratio = libm::fabs(libm::log(a.height_m / b.height_m)) < libm::log(HEIGHT_RATIO);
         ratio && libm::fabs(a.pitch - b.pitch) < PITCH_STEP_RAD && libm::fabs(a.roll - b.roll) < ROLL_STEP_RAD
     };
-    let mut best: Vec<Mount> = Vec::new();
-    for (mount, _) in ranked {
+    let mut best: Vec<Tried> = Vec::new();
+    for tried in ranked {
         if best.len() == count {
             break;
         }
-        if !best.iter().any(|known| are_near(known, &mount)) {
-            best.push(mount);
+        if !best.iter().any(|known| are_near(&known.mount, &tried.mount)) {
+            best.push(tried.clone());
         }
     }
     best

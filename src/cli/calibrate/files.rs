@@ -8,8 +8,9 @@ use super::maps::maps;
 use super::report::Report;
 use crate::cli::paths::write;
 use crate::config::lens_text;
-use crate::geometry::{Euler, Isometry};
+use crate::geometry::Euler;
 use crate::localization::smoothing::Constants;
+use crate::recording::SessionInfo;
 use crate::tagging::board_calibration::BoardCalibration;
 use crate::tagging::calibrated_lens::CalibratedLens;
 use crate::tagging::walk_calibration::WalkCalibration;
@@ -73,16 +74,16 @@ fn robot_text(found: &WalkCalibration) -> String {
     }
     let is_mount = |name: &str| name.starts_with("tilt") || name == "height";
     if found.constants.iter().filter(|found| is_mount(found.name)).all(|found| found.determined) {
-        text.push_str(&mount_text(found));
+        text.push_str(&mount_text(&found.info, &found.corrections));
     }
     text
 }
 
 /// Config lines of the mount. `record` makes the transforms from its config's mount. Any other capture has them from its log,
 /// whatever a config says.
-fn mount_text(found: &WalkCalibration) -> String {
-    let (mount, corrections) = (&found.info.settings.mount, &found.corrections);
-    match mount.torso_height_m.filter(|_| found.info.live.is_some()) {
+pub(in crate::cli) fn mount_text(info: &SessionInfo, corrections: &Constants) -> String {
+    let mount = &info.settings.mount;
+    match mount.torso_height_m.filter(|_| info.live.is_some()) {
         Some(height) => {
             let [roll, pitch, yaw] = corrected(mount.camera_rpy_deg, corrections);
             let [x, y, z] = mount.camera_xyz_m;
@@ -107,10 +108,7 @@ fn mount_text(found: &WalkCalibration) -> String {
 /// axes.
 fn corrected([roll, pitch, yaw]: [f64; 3], constants: &Constants) -> [f64; 3] {
     let believed = Euler { yaw: yaw.to_radians(), pitch: pitch.to_radians(), roll: roll.to_radians() };
-    let link_from_optical = Isometry::link_from_optical().rotation;
-    // The tilt turns the camera against up; the mount needs the inverse rotation.
-    let tilt = glam::DQuat::from_scaled_axis(glam::DVec3::new(constants.tilt_x, 0.0, constants.tilt_z)).conjugate();
-    let turned = believed.rotation() * link_from_optical * tilt * link_from_optical.conjugate();
+    let turned = constants.corrected_link(believed.rotation());
     let found = Euler::from_rotation(turned);
     [found.roll, found.pitch, found.yaw].map(f64::to_degrees)
 }

@@ -22,6 +22,8 @@ use crate::tagging::ReplayOptions;
 use crate::tagging::walk_calibration::calibrate;
 use report::Report;
 
+pub(in crate::cli) use files::mount_text;
+
 /// Find lens, mount and field size from one walk over the lines, or the lens from a calibration board
 ///
 /// --walk: the walk is tagged, everything is fitted at once, and it is tagged again with what was found until nothing changes: lens with

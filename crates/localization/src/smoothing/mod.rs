@@ -17,7 +17,7 @@ pub mod projection;
 mod residuals;
 mod same_ground;
 
-use glam::{DVec2, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 use nalgebra::{Matrix6, SMatrix};
 
 use crate::refinement::line_measurement::{CameraModel, LineMeasurement};
@@ -209,6 +209,14 @@ impl Constants {
             model,
             ..believed.clone()
         }
+    }
+
+    /// The rotation of `camera_link` on its carrier with the tilt corrected. `believed` is the rotation that was announced.
+    pub fn corrected_link(&self, believed: DQuat) -> DQuat {
+        let link_from_optical = Isometry::link_from_optical().rotation;
+        // The tilt turns the camera against up; the mount needs the inverse rotation.
+        let tilt = DQuat::from_scaled_axis(DVec3::new(self.tilt_x, 0.0, self.tilt_z)).conjugate();
+        believed * link_from_optical * tilt * link_from_optical.conjugate()
     }
 }
 

@@ -1,5 +1,7 @@
 //! Command `realitysim doctor`: checks whether a robot is ready to record.
 
+mod calibration;
+
 use std::path::PathBuf;
 
 use clap::Args;
@@ -12,7 +14,12 @@ use crate::doctor::{Finding, estimate_delay, examine};
 ///
 /// A line for each, + or -, and what to do. Not while a recorder runs: it has the devices. Exit code 1 if something is wrong.
 #[derive(Args)]
-#[command(after_long_help = "Example:\n  realitysim doctor --config robot.toml")]
+#[command(after_long_help = concat!(
+    "Examples:",
+    "\n  realitysim doctor --config robot.toml",
+    "\n  realitysim doctor --calibration",
+    "\n  realitysim doctor --calibration captures/2026-11-28T10-00-00Z-robot --since captures/2026-11-24T10-00-00Z-robot",
+))]
 pub struct DoctorArguments {
     /// Where captures will be kept
     #[arg(short, long, value_name = "CAPTURES_DIR", default_value = "/var/lib/realitysim/captures")]
@@ -21,6 +28,13 @@ pub struct DoctorArguments {
     /// seconds: LOG, or the newest capture
     #[arg(long, value_name = "LOG", num_args = 0..=1)]
     estimate_delay: Option<Option<PathBuf>>,
+    /// Only find out whether lens and mount are still as calibrated, from 20 seconds in which the robot stands on the field and looks
+    /// around: LOG, or the newest capture
+    #[arg(long, value_name = "LOG|CAPTURE", num_args = 0..=1, conflicts_with = "estimate_delay")]
+    calibration: Option<Option<PathBuf>>,
+    /// With --calibration: compare with an earlier recording instead of the calibration
+    #[arg(long, value_name = "LOG|CAPTURE", requires = "calibration")]
+    since: Option<PathBuf>,
     #[command(flatten)]
     settings: SettingsArguments,
 }
@@ -42,6 +56,17 @@ pub fn run(arguments: &DoctorArguments, json: bool) -> anyhow::Result<Outcome> {
             ))?;
         }
         return Ok(Outcome::Whole);
+    }
+    if let Some(recording) = &arguments.calibration {
+        let recording = recording.as_ref().unwrap_or(&arguments.output);
+        let report = calibration::check(recording, arguments.since.as_deref(), &arguments.settings)?;
+        output::losses(&report.losses);
+        if json {
+            output::json(&report)?;
+        } else {
+            output::lines(&report.text(for_people))?;
+        }
+        return Ok(if report.still_valid { Outcome::of(&report.losses) } else { Outcome::NotReached });
     }
     let findings = examine(&arguments.settings.resolve()?, &arguments.output);
     if json {
