@@ -3,9 +3,9 @@
 use std::fs;
 
 use realitysim::ros2::LogMessage;
-use realitysim::ros2::messages::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, PoseStamped};
+use realitysim::ros2::messages::{CompressedImage, DiagnosticArray, DiagnosticStatus, Header, KeyValue, PoseStamped};
 
-use super::support::{Room, TF_STATIC, TRUTH, decode_all, message, read_log, session_name, without};
+use super::support::{IMAGE, Room, TRUTH, changed, decode_all, message, read_log, session_name};
 
 /// A walk to a penalty mark, on past it, and back: it stands there from 1.6 to 3.6 s with heading 0, and from 8 to 10 s with 180.
 fn stood() -> Vec<LogMessage> {
@@ -65,6 +65,10 @@ fn taped_places_are_judged_and_marks_that_cannot_be_used_are_named() {
         assert!((0.1..3.0).contains(&half["claimed"].as_f64().unwrap()), "{half}");
     }
     assert_ne!(report["verdicts"][0]["verdict"], "yes", "one crossing shows nothing: {report}");
+    // A replay of the capture keeps what a person has marked.
+    let again = room.run(&format!("replay {session} -o again --json")).succeeds().json();
+    let again = room.run(&format!("accuracy {} --json", again["session"].as_str().unwrap())).json();
+    assert_eq!((&again["taped"], &again["refused"]), (taped, &report["refused"]));
     let page = fs::read_to_string(room.path("report.html")).unwrap();
     assert!(page.contains("penalty_mark_-x") && page.contains("did you mean") && page.contains("</svg>"));
     assert!(!page.contains("src=\"http"), "nothing is loaded from elsewhere");
@@ -84,7 +88,8 @@ fn a_capture_without_marks_or_tags_says_what_is_missing() {
     room.run(&format!("accuracy {session} -o {session}/report.html")).fails(2, &["report.html"]);
     room.run("accuracy nowhere").fails(1, &["nowhere"]);
     room.run("accuracy").fails(2, &["CAPTURE"]);
-    let room = Room::with_log(&without(&messages, TF_STATIC));
+    let broken = changed(&messages, IMAGE, |image: &mut CompressedImage| image.data = vec![0; 9]);
+    let room = Room::with_log(&broken);
     let session = session_name(&room.replay("log.mcap"));
     room.run(&format!("accuracy {session}")).fails(1, &["none of its", "explain"]);
 }

@@ -15,9 +15,10 @@ use crate::evaluation::accuracy::{
 };
 use crate::geometry::{Field, Isometry};
 use crate::localization::smoothing::Model;
+use crate::log_input::log::is_mark;
 use crate::recording::{Loss, Readout, ReadoutError, read_info, read_topic};
 use crate::ros2::messages::{DiagnosticArray, FrameTag, Message};
-use crate::ros2::topics::{DIAGNOSTICS, DIAGNOSTICS_PREFIX};
+use crate::ros2::topics::DIAGNOSTICS;
 use crate::tagging::offline_refinement::{FittedWalk, fitted_walk, refined_constants};
 use crate::tagging::robot_track::{TrackedFrame, robot_track};
 
@@ -126,12 +127,11 @@ fn marks(capture: &Path) -> anyhow::Result<Vec<(i64, String)>> {
         Err(ReadoutError::NoMessages { .. }) => return Ok(Vec::new()),
         read => read?,
     };
-    let name = format!("{DIAGNOSTICS_PREFIX}mark");
     let mut marks = Vec::new();
     for message in &read.found {
         // Other programs use the topic as well. What cannot be decoded is not from this one.
         let Ok(report) = DiagnosticArray::decode(&message.data) else { continue };
-        let of_mark = report.status.iter().filter(|status| status.name == name);
+        let of_mark = report.status.iter().filter(|status| is_mark(status));
         marks.extend(of_mark.map(|status| (report.header.stamp.to_nanoseconds(), status.message.clone())));
     }
     Ok(marks)
