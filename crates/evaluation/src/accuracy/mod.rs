@@ -1,8 +1,8 @@
 //! How accurate the tags of one robot are on one field, without any alignment.
 //!
-//! [`taped`] compares tags with crossings of the field that the robot stood on, [`turned`] those of opposite headings with each
-//! other: both need a tape measure and no other truth. [`split_half`] fits the walk from two halves of its line evidence, and
-//! [`residual_maps`] shows where in the image and on the field lines lie off: both need nothing but the capture. [`verdict`] says
+//! [`mod@taped`] compares tags with crossings of the field that the robot stood on, [`mod@turned`] those of opposite headings with each
+//! other: both need a tape measure and no other truth. [`mod@split_half`] fits the walk from two halves of its line evidence, and
+//! [`mod@residual_maps`] shows where in the image and on the field lines lie off: both need nothing but the capture. [`verdict`] says
 //! for which use the figures are good enough, and [`validation`] how well each measure predicts the true error of rendered walks.
 //!
 //! The point of the robot that stands on a crossing is the origin of `base_footprint`: the point between the feet. It follows from
