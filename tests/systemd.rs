@@ -84,3 +84,16 @@ fn installing_puts_all_of_it_in_place_and_keeps_the_config() {
     let version = Command::new(root.path().join("usr/bin/realitysim")).arg("--version").output().unwrap();
     assert!(version.status.success(), "{version:?}");
 }
+
+#[test]
+fn the_files_of_a_debian_package_are_not_written_over() {
+    let root = tempfile::tempdir().unwrap();
+    let list = root.path().join("var/lib/dpkg/info/realitysim.list");
+    std::fs::create_dir_all(list.parent().unwrap()).unwrap();
+    std::fs::write(&list, "/usr/bin/realitysim\n").unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_realitysim"));
+    let output = command.arg("install").arg("--root").arg(root.path()).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && said.contains("Debian package"), "{output:?}");
+    assert!(!root.path().join("usr").exists() && !root.path().join("etc").exists());
+}

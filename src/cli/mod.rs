@@ -3,6 +3,7 @@
 //!
 //! Exit codes are 0 when done, 1 when something failed, 2 for wrong usage or config, 3 when done but data was lost.
 
+mod accuracy;
 mod calibrate;
 mod catalogue;
 mod check;
@@ -14,6 +15,7 @@ mod eval;
 mod explain;
 mod export;
 mod host_info;
+mod html;
 mod import;
 mod input_files;
 mod install;
@@ -101,6 +103,7 @@ enum Command {
     Live(live::LiveArguments),
     // Rendered walks, and how good it all is.
     Scene(scene::SceneArguments),
+    Accuracy(accuracy::AccuracyArguments),
     Eval(eval::EvalArguments),
     Postgame(postgame::PostgameArguments),
     Check(check::CheckArguments),
@@ -151,6 +154,7 @@ pub fn run() -> ExitCode {
         Command::Serve(arguments) => serve::run(&arguments, json),
         Command::Live(arguments) => live::run(&arguments, json),
         Command::Scene(arguments) => scene::run(&arguments, json),
+        Command::Accuracy(arguments) => accuracy::run(&arguments, json),
         Command::Eval(arguments) => eval::run(&arguments, json),
         Command::Postgame(arguments) => postgame::run(&arguments, json),
         Command::Check(arguments) => check::run(&arguments, json),

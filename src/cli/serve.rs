@@ -31,9 +31,9 @@ use crate::views::{FAR_M, MAX_FAR_M};
     "\n  realitysim serve --db images/ --listen 0.0.0.0:8765 --token-file token.txt",
 ))]
 pub struct ServeArguments {
-    /// The database's folder
-    #[arg(long, value_name = "DIR")]
-    db: PathBuf,
+    /// The database's folder; without it captures alone are shown
+    #[arg(long, value_name = "DIR", required_unless_present = "captures")]
+    db: Option<PathBuf>,
     /// A folder of captures that the page shows: every session in it
     #[arg(long, value_name = "CAPTURES_DIR")]
     captures: Option<PathBuf>,
@@ -71,7 +71,7 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
         }
     }
     let options = ServeOptions {
-        database: Some(arguments.db.clone()),
+        database: arguments.db.clone(),
         live: None,
         captures: captures_folder(arguments.captures.as_deref())?,
         listen: arguments.listen,

@@ -1,5 +1,6 @@
 //! The program from end to end: logs in, captures out, as a user runs it.
 
+mod accuracy;
 mod board;
 mod broken;
 mod budget;

@@ -175,6 +175,21 @@ fn a_robot_that_is_carried_measures_no_way() {
     assert!(odometry(&scene).iter().all(|(_, odometry)| odometry.odom_from_base_footprint == Pose2::default()));
 }
 
+#[test]
+fn a_walk_that_stands_arrives_at_each_waypoint_and_does_not_sway_there() {
+    let toml = STRAIGHT.replace("turn_deg_s = 30.0", "turn_deg_s = 30.0\nstand_s = 2.0");
+    let toml = toml.replace("[[-2.9, 0.1], [2.9, 0.1]]", "[[-2.9, 0.1], [0.0, 0.1], [0.0, 1.0]]");
+    let scene = scene(&toml);
+    let stands = scene.stands();
+    assert_eq!(stands.len(), 2);
+    for ((from_s, until_s, pose), (at, yaw_deg)) in stands.iter().zip([([0.0, 0.1], 0.0), ([0.0, 1.0], 90.0f64)]) {
+        assert!(pose.distance(&Pose2::new(at[0], at[1], 0.0)) < 1e-9 && (pose.yaw.to_degrees() - yaw_deg).abs() < 1e-9);
+        assert!((until_s - from_s - 2.0).abs() < 1e-9);
+        let [begin, end] = [from_s, until_s].map(|time| scene.truth(*time).map_from_base_link);
+        assert_eq!(begin.translation.distance(end.translation), 0.0, "{begin:?} {end:?}");
+    }
+}
+
 proptest! {
     #[test]
     fn any_route_ends_at_its_last_waypoint(

@@ -3,11 +3,13 @@
 import math
 import socket
 import sys
+import threading
+import time
 import zlib
 
 import numpy as np
 
-from realitysim_client import Client, RealitySimError, pose_of_camera
+from realitysim import Busy, Client, NotFound, RealitySimError, ServiceTimeout, Unreachable, pose_of_camera
 
 
 def png(path):
@@ -45,13 +47,21 @@ layers = client.view(x=0.22, y=0.2, z=0.5, yaw_deg=11, pitch_deg=20, layers="ima
 assert (layers.image == view.image).all() and (layers.mask == view.mask).all(), layers
 assert layers.depth.shape == (120, 160) and layers.depth.dtype == np.float32, layers
 assert 0.3 < layers.depth[118, 80] < layers.depth[80, 80] < 5 and np.isinf(layers.depth[2, 80]), layers.depth[:, 80]
+# Intrinsics are those of the view: half the size, half the focal length.
+assert (view.lens.width, view.lens.height) == (160, 120), view.lens
+full = client.view(x=0.22, y=0.2, z=0.5, yaw_deg=11, pitch_deg=20).lens
+assert abs(2 * view.lens.fx - full.fx) < 1e-9 and full.matrix[0, 0] == full.fx and full.model, (view.lens, full)
+labels = client.view(x=0.22, y=0.2, z=0.5, yaw_deg=11, pitch_deg=20, layers="labels,depth", width=160)
+assert labels.image is None and labels.labels.shape == (120, 160) and labels.labels.dtype == np.uint8, labels
+assert labels.labels[118, 80] in (1, 2, 255) and (labels.labels == 1).mean() > 0.05, np.unique(labels.labels, return_counts=True)
+assert np.isfinite(labels.depth[np.isin(labels.labels, [1, 2])]).all(), "carpet and lines are on the ground"
 only = client.view(x=0.22, y=0.2, z=0.5, yaw_deg=11, pitch_deg=20, layers="depth", width=160)
 assert only.image is None and only.mask is None and np.array_equal(only.depth, layers.depth, equal_nan=True), only
 try:
     client.view(x=9, y=9, z=0.5, yaw_deg=0)
     raise AssertionError("nothing is there")
-except RealitySimError as error:
-    assert error.status == 404 and "farther than" in error.detail, error
+except NotFound as error:
+    assert isinstance(error, RealitySimError) and error.status == 404 and "farther than" in error.detail, error
 assert client.view(x=3, y=0.2, z=0.5, yaw_deg=10, pitch_deg=20, outside="warn").warning
 
 # A pose survives its matrix, in both conventions.
@@ -70,7 +80,7 @@ assert client.view_of_matrix(matrix).image.shape == (240, 320, 3)
 
 pose = {"x": 0.2, "y": 0.2, "z": 0.5, "yaw_deg": 10, "pitch_deg": 20}
 views = list(client.views([pose, {**pose, "x": 50}, pose], width=64))
-assert [type(view).__name__ for view in views] == ["View", "RealitySimError", "View"], views
+assert [type(view).__name__ for view in views] == ["View", "NotFound", "View"], views
 assert views[0].image.shape == (48, 64, 3) and (views[0].image == views[2].image).all()
 deep = list(client.views([pose, {**pose, "layers": "depth"}], width=64))
 assert deep[0].depth is None and deep[1].image is None and deep[1].depth.shape == (48, 64), deep
@@ -85,7 +95,44 @@ for _ in range(2):
     try:
         waiting.info()
         raise AssertionError("nobody answers")
-    except TimeoutError:
-        pass
+    except ServiceTimeout as error:
+        assert isinstance(error, TimeoutError)
+
+
+def answers(*replies):
+    """The address of a service that gives these answers, one for each request."""
+    listening = socket.create_server(("127.0.0.1", 0))
+
+    def serve():
+        for reply in replies:
+            connection, _ = listening.accept()
+            with connection:
+                connection.recv(65536)
+                connection.sendall(reply)
+
+    threading.Thread(target=serve, daemon=True).start()
+    return f"http://127.0.0.1:{listening.getsockname()[1]}"
+
+
+def http(status, headers, body):
+    return f"HTTP/1.1 {status}\r\n{headers}Connection: close\r\nContent-Length: {len(body)}\r\n\r\n{body}".encode()
+
+
+# A busy service is asked again after the time that it names, and no longer than one has patience.
+busy = http("503 Service Unavailable", "Retry-After: 1\r\n", '{"detail": "come back in a second"}')
+began = time.monotonic()
+assert Client(answers(busy, http("200 OK", "", "{}"))).info() == {} and time.monotonic() - began >= 1.0
+try:
+    Client(answers(busy), patience_s=0.5).info()
+    raise AssertionError("it is busy")
+except Busy as error:
+    assert error.status == 503 and error.detail == "come back in a second", error
+# A batch that breaks off is an error, and not a short batch.
+torn = b"HTTP/1.1 200 OK\r\nContent-Type: multipart/mixed; boundary=x\r\nConnection: close\r\n\r\n--x\r\ncontent-length: 9\r\n"
+try:
+    list(Client(answers(torn)).views([pose]))
+    raise AssertionError("half of a part")
+except Unreachable as error:
+    assert isinstance(error, ConnectionError), error
 assert client.info()["images"] == 4 and int(client.coverage().sum()) == 4
 print("the client agrees")

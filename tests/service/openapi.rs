@@ -78,7 +78,7 @@ fn its_paths_answer_as_it_says_and_send_the_headers_that_it_names() {
         for (method, operation) in methods.as_object().expect("methods") {
             let answer = match (method.as_str(), path.as_str()) {
                 ("get", "/v1/view") => get(served.address, "/v1/view?x=0.22&y=0.2&z=0.5&yaw_deg=11&pitch_deg=20"),
-                ("get", "/v1/capture") => get(served.address, &format!("/v1/capture?capture={capture}")),
+                ("get", "/v1/capture" | "/v1/tags") => get(served.address, &format!("{path}?capture={capture}")),
                 ("get", "/v1/frame" | "/v1/tag" | "/v1/explain") => {
                     get(served.address, &format!("{path}?capture={capture}&frame=2"))
                 }

@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
 # Builds the virtual machine: a Debian kernel with its own drivers, systemd, and what `realitysim install` puts in place.
-# build.sh PROGRAM FOLDER; the folder keeps what is downloaded.
+# build.sh PROGRAM FOLDER [DEB]; the folder keeps what is downloaded. The machine of the long form gets a Debian package to install.
 set -euo pipefail
 program="$(realpath "$1")"
 folder="$(realpath -m "$2")"
+deb="${3:+$(realpath "$3")}"
 here="$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)"
 mkdir -p "$folder/dl"
 cd "$folder"
@@ -98,8 +99,9 @@ echo 0123456789abcdef0123456789abcdef >"$root/etc/machine-id"
 "$program" install --root "$root"
 cp "$here/robot.toml" "$root/etc/realitysim/robot.toml"
 install -m755 "$here"/guest/* "$root/usr/local/bin/"
-# vivid is no USB camera, and the 16550 has no udev name: the rules get two lines for them.
-cat >>"$root/usr/lib/udev/rules.d/99-realitysim.rules" <<'RULES'
+[ -z "$deb" ] || cp "$deb" "$root/opt/realitysim.deb"
+# vivid is no USB camera, and the 16550 has no udev name: two more rules name them.
+cat >"$root/etc/udev/rules.d/99-testvm.rules" <<'RULES'
 SUBSYSTEM=="video4linux", ATTR{name}=="vivid-*-vid-cap", SYMLINK+="robot-camera"
 SUBSYSTEM=="tty", KERNEL=="ttyS1", SYMLINK+="robot-mcu"
 RULES

@@ -47,6 +47,8 @@ def main():
             keeps_what_the_disk_confirmed_through_a_power_cut(robot)
         robot.switch_on()
         has_repaired_itself(robot)
+        if not SHORT:
+            comes_and_goes_as_a_package(robot)
     finally:
         robot.switch_off()
     print(f"all of it: {time.monotonic() - BEGAN:.0f} s")
@@ -383,6 +385,26 @@ def has_repaired_itself(robot):
     code, text = machine.run(f"realitysim sessions verify --captures {CAPTURES}", 200)
     assert code == 0, text
     print("+ what the cuts left is whole again", flush=True)
+
+
+def comes_and_goes_as_a_package(robot):
+    """Over the files of `realitysim install`, whose config and captures it keeps. tests/package/check_deb.sh tries the rest."""
+    machine = robot.machine
+    state = lambda: machine.run("systemctl is-active realitysim")[1]
+    sessions = lambda: int(machine.ok(f"ls -d {CAPTURES}/*/ | wc -l"))
+    machine.ok("dpkg --install --force-confold /opt/realitysim.deb", 400)
+    assert state() == "inactive", "the package starts nothing"
+    machine.ok("systemctl start realitysim", 60)
+    before = machine.until("the service of the package records", 120, is_recording)["session"]
+    machine.ok("dpkg --install --force-confold /opt/realitysim.deb", 400)
+    machine.until("an upgrade restarts it", 120, lambda s: s["session"] != before and is_recording(s))
+    kept = sessions()
+    machine.ok("dpkg --remove realitysim", 200)
+    assert state() == "inactive" and machine.run("test -e /usr/bin/realitysim")[0] != 0, state()
+    machine.ok("dpkg --purge realitysim; ! test -e /etc/realitysim", 200)
+    assert sessions() == kept and machine.ok(f"stat -c %U {CAPTURES}") == "realitysim", "captures outlive the package"
+    assert not machine.ok(f"find {CAPTURES} -name '*.active'"), "its last session is whole"
+    print("+ installed, upgraded, removed and purged as a package", flush=True)
 
 
 def judge_the_walk(walk, session):

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-from realitysim_client import Client
+from realitysim import Client
 
 
 def main():

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from realitysim_client import Client, RealitySimError
+from realitysim import Client, ServiceError
 
 SCENE = """
 <mujoco>
@@ -42,7 +42,7 @@ def main():
         for matrix in cameras:
             try:
                 views.append(client.view_of_matrix(matrix, z_forward=True))
-            except RealitySimError as error:
+            except ServiceError as error:
                 refused += 1
                 print(error)
         seconds = time.monotonic() - started

@@ -9,7 +9,7 @@ use super::source::Shipped;
 use super::wording::in_words;
 use realitysim_geometry::{Field, FieldDimensions};
 
-static FOLDER: Dir<'static> = include_dir!("$CARGO_MANIFEST_DIR/../../config/fields");
+static FOLDER: Dir<'static> = include_dir!("$CARGO_MANIFEST_DIR/fields");
 const SHIPPED: Shipped = Shipped { kind: "field", folder: &FOLDER };
 
 /// Returns the names of the shipped fields, in alphabetic order.

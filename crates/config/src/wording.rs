@@ -45,7 +45,7 @@ fn split_unknown_name(message: &str) -> Option<(&str, &str)> {
 const MIN_SIMILARITY: f64 = 0.8;
 
 /// Returns the known name that was probably meant: the most similar one, if it is similar enough.
-pub(crate) fn closest_name<'a>(given: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+pub fn closest_name<'a>(given: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     let candidates = names.map(|name| (name, strsim::jaro_winkler(given, name)));
     let best = candidates.max_by(|a, b| a.1.total_cmp(&b.1));
     best.filter(|(_, similarity)| *similarity >= MIN_SIMILARITY).map(|(name, _)| name)

@@ -4,7 +4,7 @@
 //! scene. [`suite`] runs many logs and scenes with limits, and [`mod@reference`] holds a replay to the tags of an earlier
 //! one bit for bit.
 //! [`cost`] measures what accuracy costs in time. [`contrast`] measures how tags degrade as lines fade, [`falsify`]
-//! what they do under false assumptions, [`postgame`] judges a robot's own pose by them, [`paper`] repeats the experiments of the paper, and [`views`] scores
+//! what they do under false assumptions, [`accuracy`] how good they are on one's own field, [`postgame`] judges a robot's own pose by them, [`paper`] repeats the experiments of the paper, and [`views`] scores
 //! synthesized images.
 //! [`drawing`] and [`video`] make pictures of the results. This crate prints nothing.
 //!
@@ -22,6 +22,7 @@
 //! assert!((result.position_cm.mean - 3.0).abs() < 1e-6);
 //! ```
 
+pub mod accuracy;
 pub mod capture;
 pub mod compare;
 pub mod contrast;

@@ -39,7 +39,7 @@ pub mod yolo;
 pub use annotation::{Keypoint, LabelBox, Visibility};
 pub use class_list::{BOOSTER_CLASSES, ClassList, LANDMARK_CLASSES};
 pub use class_map::{Class, PosedImage};
-pub use landmarks::{Landmark, LandmarkKind};
+pub use landmarks::{Landmark, LandmarkKind, landmarks};
 pub use outlines::Outline;
 pub use pose_covariance::PoseCovariance;
 
@@ -68,7 +68,7 @@ impl Labeller {
             goals: goals::Goals::new(field, goals),
             paint: paint::Paint::new(field),
             half: field.carpet_half_extent(),
-            landmarks: landmarks::landmarks(field).into_iter().filter(is_there).collect(),
+            landmarks: landmarks(field).into_iter().filter(is_there).collect(),
         }
     }
 

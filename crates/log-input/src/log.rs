@@ -14,7 +14,7 @@ use realitysim_config::plain_file;
 use realitysim_ros2::mcap_read::{
     Damage, LogMessage, LogReader, ReadError, Selection, Survey, attachments, examine, survey,
 };
-use realitysim_ros2::messages::{DiagnosticArray, Message};
+use realitysim_ros2::messages::{DiagnosticArray, DiagnosticStatus, Message};
 use realitysim_ros2::topics;
 
 /// Why a log cannot be read.
@@ -230,11 +230,16 @@ impl Iterator for LogSource {
     }
 }
 
-/// Returns whether an earlier replay added this message.
+/// Returns whether a status is a mark: a note that a person gave the recorder.
+pub fn is_mark(status: &DiagnosticStatus) -> bool {
+    status.name.strip_prefix(topics::DIAGNOSTICS_PREFIX) == Some("mark")
+}
+
+/// Returns whether an earlier replay added this message. Marks are input, though this program wrote them: nothing gives them again.
 fn is_output(message: &LogMessage) -> bool {
     let topic = message.channel.topic.as_str();
     let ours = |report: DiagnosticArray| {
-        report.status.iter().any(|status| status.name.starts_with(topics::DIAGNOSTICS_PREFIX))
+        report.status.iter().any(|status| status.name.starts_with(topics::DIAGNOSTICS_PREFIX) && !is_mark(status))
     };
     topics::OUTPUTS.contains(&topic)
         || (topic == topics::DIAGNOSTICS && DiagnosticArray::decode(&message.data).is_ok_and(ours))

@@ -188,6 +188,7 @@ fn check_walk(walk: &Walk, field: &Field) -> Result<(), SceneError> {
         }
     }
     check_range("route.speed_m_s", walk.speed_m_s, 0.01..=5.0, "a robot walks at 0.01 to 5 m/s")?;
+    check_range("route.stand_s", walk.stand_s, 0.0..=3600.0, "a robot stands 0 to 3600 s at each waypoint")?;
     check_range("route.turn_deg_s", walk.turn_deg_s, 1.0..=720.0, "a robot turns at 1 to 720 degrees per second")?;
     match walk.start_yaw_deg {
         Some(yaw) => check_range("route.start_yaw_deg", yaw, -360.0..=360.0, "-360 to 360 degrees"),

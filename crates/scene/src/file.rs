@@ -95,6 +95,9 @@ pub struct Walk {
     pub turn_deg_s: f64,
     /// Yaw at the start in `map`, degrees. Without it the robot starts facing the second waypoint.
     pub start_yaw_deg: Option<f64>,
+    /// Time that the robot stands at each waypoint but the first, seconds. It then turns on the spot, and rounds no corner.
+    #[serde(default)]
+    pub stand_s: f64,
 }
 
 /// Standing at one pose after the other. The robot is carried in between, which odometry does not notice.

@@ -59,7 +59,7 @@ use glam::DVec2;
 use motion::Motion;
 use per_frame::Changing;
 use ranges::Per;
-use realitysim_geometry::{Field, FieldDimensions, Lens, LensParameters};
+use realitysim_geometry::{Field, FieldDimensions, Lens, LensParameters, Pose2};
 
 /// Stamp of the first event of every scene, nanoseconds since 1970. It is fixed so that recordings can be repeated.
 pub const START_STAMP_NS: i64 = 1_760_000_000_000_000_000;
@@ -246,6 +246,12 @@ impl Scene {
     /// Duration of the scene, seconds: the route plus the time of a kidnapping or fall.
     pub fn duration_s(&self) -> f64 {
         self.motion.duration() + self.interruption.as_ref().map_or(0.0, Interruption::duration)
+    }
+
+    /// The times at which the robot stands at a waypoint of its walk ([`file::Walk::stand_s`]): begin and end, seconds along the route,
+    /// and the pose of `base_footprint` in `map`.
+    pub fn stands(&self) -> Vec<(f64, f64, Pose2)> {
+        self.motion.stands().collect()
     }
 
     /// Number of frames that the camera takes, whether or not they arrive.

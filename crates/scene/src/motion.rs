@@ -61,6 +61,16 @@ impl Motion {
         self.duration
     }
 
+    /// The times at which a walk stands at a waypoint: begin and end, seconds since the start, and the pose of `base_footprint`.
+    pub(super) fn stands(&self) -> impl Iterator<Item = (f64, f64, Pose2)> + '_ {
+        let is_stand = |piece: &&Piece| self.walks && piece.speed == 0.0 && piece.turn == 0.0;
+        let stand = |piece: &Piece| {
+            let pose = Pose2 { yaw: wrap_angle(piece.from.yaw), ..piece.from };
+            (piece.start, piece.start + piece.duration, pose)
+        };
+        self.pieces.iter().filter(is_stand).map(stand)
+    }
+
     /// Position on the route at `time`, seconds. Before the start and after the end the robot stands.
     pub(super) fn at(&self, time: f64) -> Travel {
         let clamped = time.clamp(0.0, self.duration);
@@ -151,9 +161,16 @@ fn walking_motion(walk: &Walk) -> Motion {
         let length = leg.length();
         let Some((next, heading)) = legs.get(index + 1).zip(headings.get(index + 1)) else {
             builder.straight(length - used, walk.speed_m_s);
+            builder.stand(walk.stand_s);
             break;
         };
         let turn = wrap_angle(heading - headings[index]);
+        if walk.stand_s > 0.0 {
+            builder.straight(length, walk.speed_m_s);
+            builder.stand(walk.stand_s);
+            builder.arc(turn, 0.0, turn_rate);
+            continue;
+        }
         // At a reversal the tangent is (nearly) infinite and the radius (nearly) zero.
         let tangent = libm::tan(turn.abs().min(PI - 1e-9) / 2.0);
         let room = length.min(next.length()) / 2.0;
@@ -183,6 +200,13 @@ impl Builder {
     fn straight(&mut self, length: f64, speed: f64) {
         if length > 1e-9 {
             self.push(length / speed, speed, 0.0);
+        }
+    }
+
+    /// Appends a time in which nothing moves.
+    fn stand(&mut self, seconds: f64) {
+        if seconds > 0.0 {
+            self.push(seconds, 0.0, 0.0);
         }
     }
 

@@ -14,8 +14,12 @@ use zip::{CompressionMethod, ZipWriter};
 pub enum Values<'a> {
     /// Bytes.
     U8(&'a [u8]),
+    /// 64-bit integers.
+    I64(&'a [i64]),
     /// 32-bit floating point numbers.
     F32(&'a [f32]),
+    /// 64-bit floating point numbers.
+    F64(&'a [f64]),
 }
 
 /// The header's end, and with it the first value, lies at a multiple of this many bytes.
@@ -25,7 +29,9 @@ const ALIGNMENT: usize = 64;
 pub fn npy(shape: &[usize], values: Values) -> Vec<u8> {
     let (kind, data) = match values {
         Values::U8(values) => ("|u1", values.to_vec()),
+        Values::I64(values) => ("<i8", values.iter().flat_map(|value| value.to_le_bytes()).collect()),
         Values::F32(values) => ("<f4", values.iter().flat_map(|value| value.to_le_bytes()).collect()),
+        Values::F64(values) => ("<f8", values.iter().flat_map(|value| value.to_le_bytes()).collect()),
     };
     let sides: String = shape.iter().map(|side| format!("{side}, ")).collect();
     let mut header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({sides}), }}");

@@ -89,17 +89,19 @@ fn accepted_of(accept: Option<&str>, possible: &[Form]) -> Result<Vec<Form>, Htt
     Ok(forms)
 }
 
-/// Encodes the layers of a view as `.npz`. `depth_m` computes the depth, metres along each pixel's ray.
+/// Encodes the layers of a view as `.npz`. `depth_m` computes the depth, metres along each pixel's ray, `labels` the class of each pixel.
 pub(super) fn encode_layers(
     image: &Raster,
     layers: &[Layer],
     depth_m: impl Fn() -> Vec<f32>,
+    labels: impl Fn() -> Vec<u8>,
 ) -> Result<Vec<u8>, HttpProblem> {
     let size = [image.height, image.width];
     let array = |layer: &Layer| match layer {
         Layer::Image => ("image", npy(&[image.height, image.width, 3], Values::U8(&image.to_rgb()))),
         Layer::Depth => ("depth", npy(&size, Values::F32(&depth_m()))),
         Layer::Mask => ("mask", npy(&size, Values::U8(&image.mask()))),
+        Layer::Labels => ("labels", npy(&size, Values::U8(&labels()))),
     };
     npz(&layers.iter().map(array).collect::<Vec<_>>()).map_err(|error| failed(error.to_string()))
 }

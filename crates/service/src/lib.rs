@@ -37,6 +37,7 @@ mod captures;
 mod connections;
 mod encode;
 mod guard;
+mod labels;
 mod live;
 mod metrics;
 mod page;

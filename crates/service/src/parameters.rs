@@ -29,7 +29,7 @@ pub const PARAMETERS: [(&str, &str); 18] = [
     ("mask", "of a picture: none, alpha (a fourth channel; not for JPEG) or only (one channel)"),
     (
         "layers",
-        "image, depth, mask, or several of them with commas between, as arrays of one .npz instead of a picture",
+        "image, depth, mask, labels, or several of them with commas between, as arrays of one .npz instead of a picture",
     ),
     ("quality", "of a JPEG, 1 to 100"),
 ];
@@ -77,7 +77,12 @@ pub(super) enum Layer {
     Depth,
     /// What each pixel shows: known geometry, something beyond the ground, or nothing.
     Mask,
+    /// The class of each pixel: carpet, line, goal.
+    Labels,
 }
+
+const LAYERS: [(&str, Layer); 4] =
+    [("image", Layer::Image), ("depth", Layer::Depth), ("mask", Layer::Mask), ("labels", Layer::Labels)];
 
 /// Names and values of parameters, as they came.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -214,8 +219,7 @@ impl Parameters {
                 "mask",
                 &[("none", MaskWanted::None), ("alpha", MaskWanted::Alpha), ("only", MaskWanted::Only)],
             )?,
-            layers: self
-                .choices("layers", &[("image", Layer::Image), ("depth", Layer::Depth), ("mask", Layer::Mask)])?,
+            layers: self.choices("layers", &LAYERS)?,
             quality: self.whole("quality", 1, 100)?.map_or(DEFAULT_QUALITY, |quality| quality as u8),
         })
     }
@@ -272,11 +276,11 @@ mod tests {
             ("x=1&y=2&z=0.5&yaw_deg=0&width=9999", "width is \"9999\": a whole number from 16 to 2048 is needed"),
             ("x=1&y=2&z=0.5&yaw_deg=0&method=best", "one of exact, paper, nearest is needed"),
             (
-                "x=1&y=2&z=0.5&yaw_deg=0&layers=depth,labels",
-                "layers is \"depth,labels\": image, depth, mask, with commas",
+                "x=1&y=2&z=0.5&yaw_deg=0&layers=depth,classes",
+                "layers is \"depth,classes\": image, depth, mask, labels, with commas",
             ),
             ("x=1&y=2&z=0.5&yaw_deg=0&layers=mask,mask", "none twice"),
-            ("x=1&y=2&z=0.5&yaw_deg=0&layers=", "layers is \"\": image, depth, mask"),
+            ("x=1&y=2&z=0.5&yaw_deg=0&layers=", "layers is \"\": image, depth, mask, labels"),
             ("x=1&y=2&z=0.5&yaw_deg=0&yaw=3", "yaw: unknown: there are x, y, z, yaw_deg"),
         ] {
             let refusal = asked(query).expect_err(query);

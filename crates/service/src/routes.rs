@@ -25,13 +25,14 @@ use super::view_service::{Picture, ViewService};
 use super::{HttpProblem, OPENAPI, Reply, Service};
 
 /// The paths of the service.
-const ROUTES: [&str; 14] = [
+const ROUTES: [&str; 15] = [
     "/v1/view",
     "/v1/views",
     "/v1/info",
     "/v1/coverage",
     "/v1/captures",
     "/v1/capture",
+    "/v1/tags",
     "/v1/frame",
     "/v1/tag",
     "/v1/explain",
@@ -121,8 +122,9 @@ async fn dispatch(
             let none = || json!({ "version": env!("CARGO_PKG_VERSION"), "images": 0, "field": null, "lenses": {}, "scenes": {} });
             Ok(json_reply(&service.views.as_ref().map_or_else(none, ViewService::info)))
         }
-        "/v1/captures" | "/v1/capture" | "/v1/frame" | "/v1/tag" | "/v1/explain" => {
-            capture(service, slot, parameters, route).await
+        "/v1/captures" | "/v1/capture" | "/v1/tags" | "/v1/frame" | "/v1/tag" | "/v1/explain" => {
+            let raw = accepts_raw(list(&request, &ACCEPT).as_deref());
+            capture(service, slot, parameters, route, raw).await
         }
         "/v1/live" | "/v1/live/frame" => {
             parameters.only(&[])?;
@@ -247,26 +249,46 @@ async fn live_order(
     Ok(json_reply(&service.admission.enter().await?.run(work).await??))
 }
 
-/// Answers what is asked of captures.
+/// Whether a client takes pixels and no picture: programs do, browsers and `curl` do not.
+fn accepts_raw(accept: Option<&str>) -> bool {
+    let accept = accept.unwrap_or("*/*");
+    accept.contains("application/octet-stream") && !accept.contains("image/")
+}
+
+/// Answers what is asked of captures. With `raw` the image of a frame comes as pixels.
 async fn capture(
     service: &Arc<Service>,
     slot: &Arc<ConnectionSlot>,
     parameters: Parameters,
     route: &'static str,
+    raw: bool,
 ) -> Result<Reply, HttpProblem> {
     let shared = Arc::clone(service);
-    let work = move || captured(&shared.captures, &parameters, route);
-    let (content, kind) = service.admission.enter().await?.run(work).await??;
-    Ok(bytes(StatusCode::OK, kind, hold_answer(slot, content)?))
+    let work = move || captured(&shared.captures, &parameters, route, raw);
+    let answer = service.admission.enter().await?.run(work).await??;
+    let mut reply = bytes(StatusCode::OK, answer.media_type, hold_answer(slot, answer.content)?);
+    if let Some([width, height]) = answer.pixels {
+        let sides = [("realitysim-width", width), ("realitysim-height", height), ("realitysim-channels", 3)];
+        put_headers(&mut reply, &sides.map(|(name, side)| (name, side.to_string())));
+    }
+    Ok(reply)
 }
 
-/// Returns what is asked of captures, and its media type.
-fn captured(captures: &Captures, parameters: &Parameters, route: &str) -> Result<(Vec<u8>, &'static str), HttpProblem> {
-    const JSON: &str = "application/json";
-    let json = |value: serde_json::Value| (value.to_string().into_bytes(), JSON);
+/// What is answered about captures.
+struct Captured {
+    content: Vec<u8>,
+    media_type: &'static str,
+    /// Width and height, if the content is pixels.
+    pixels: Option<[usize; 2]>,
+}
+
+/// Returns what is asked of captures.
+fn captured(captures: &Captures, parameters: &Parameters, route: &str, raw: bool) -> Result<Captured, HttpProblem> {
+    let of = |content: Vec<u8>, media_type| Captured { content, media_type, pixels: None };
+    let json = |value: serde_json::Value| of(value.to_string().into_bytes(), "application/json");
     let known: &[&str] = match route {
         "/v1/captures" => &[],
-        "/v1/capture" => &["capture"],
+        "/v1/capture" | "/v1/tags" => &["capture"],
         _ => &["capture", "frame"],
     };
     parameters.only(known)?;
@@ -274,13 +296,19 @@ fn captured(captures: &Captures, parameters: &Parameters, route: &str) -> Result
         return captures.list().map(json);
     }
     let name = parameters.text("capture", "the name of a capture, as /v1/captures lists them")?;
-    if route == "/v1/capture" {
-        return Ok((captures.tags(name)?, JSON));
+    match route {
+        "/v1/capture" => return Ok(of(captures.tags(name)?, "application/json")),
+        "/v1/tags" => return Ok(of(captures.tag_arrays(name)?, "application/zip")),
+        _ => {}
     }
     let frame = parameters.whole("frame", 0, u32::MAX)?;
     let frame = frame.ok_or_else(|| HttpProblem::wrong("frame is missing: the number of a tagged frame, from 0"))?;
     match route {
-        "/v1/frame" => captures.picture(name, frame),
+        "/v1/frame" if raw => {
+            let (content, sides) = captures.pixels(name, frame)?;
+            Ok(Captured { content, media_type: "application/octet-stream", pixels: Some(sides) })
+        }
+        "/v1/frame" => captures.picture(name, frame).map(|(content, media_type)| of(content, media_type)),
         "/v1/tag" => captures.tag(name, frame).map(json),
         _ => captures.explanation(name, frame).map(json),
     }

@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 
 use super::HttpProblem;
 use super::encode::{self, Form};
+use super::labels::labels;
 use super::parameters::{MaskWanted, Parameters, ViewRequest, named};
 use realitysim_config::ViewsSettings;
 use realitysim_database::{DatabaseError, ImageDatabase, ViewQuery, ViewResult, coverage};
@@ -112,7 +113,8 @@ impl ViewService {
             None if asked.layers.is_empty() => (forms[0], encode::encode(image, forms[0], asked.mask, asked.quality)?),
             None => {
                 let depth_m = || shown.depth_m(database.world(), &figures_m);
-                (Form::Arrays, (encode::encode_layers(image, &asked.layers, depth_m)?, 3))
+                let labels = || labels(&database, &shown, &figures_m);
+                (Form::Arrays, (encode::encode_layers(image, &asked.layers, depth_m, labels)?, 3))
             }
         };
         let mut headers = provenance(&database, &shown, channels);
@@ -305,6 +307,7 @@ fn provenance(database: &ImageDatabase, shown: &ViewResult, channels: usize) -> 
         ("realitysim-height", answer.image.height.to_string()),
         ("realitysim-channels", channels.to_string()),
         ("realitysim-index", database.catalogue().index.to_string()),
+        ("realitysim-lens", json!(shown.camera.lens().parameters()).to_string()),
     ];
     if let Some(pixels) = answer.trusted_error_px() {
         headers.push(("realitysim-expected-error-px", format!("{pixels:.3}")));

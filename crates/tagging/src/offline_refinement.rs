@@ -136,12 +136,30 @@ pub fn refine(
 }
 
 /// A capture's frames with their lines, and the poses and constants that fit them best.
-pub(super) struct FittedWalk {
-    pub(super) info: SessionInfo,
-    pub(super) tags: Vec<FrameTag>,
-    pub(super) frames: Vec<Frame>,
-    pub(super) smoothed: Smoothed,
-    pub(super) losses: Vec<Loss>,
+pub struct FittedWalk {
+    /// The capture's `session.json`.
+    pub info: SessionInfo,
+    /// The recorded tags.
+    pub tags: Vec<FrameTag>,
+    /// Frames with a valid tag, in order of time.
+    pub frames: Vec<Frame>,
+    /// The fit of all frames.
+    pub smoothed: Smoothed,
+    /// Parts of the capture that could not be read.
+    pub losses: Vec<Loss>,
+}
+
+/// Fits a capture as [`refine`] does, for those who judge the fit. `progress` is that of [`refine`].
+///
+/// # Errors
+///
+/// Those of [`refine`].
+pub fn fitted_walk(
+    capture: &Path,
+    model: &Model,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<FittedWalk, RefineError> {
+    fit(capture, model, &REACH, progress)
 }
 
 /// Fits a capture. Each pass searches lines around the poses of the pass before it, within standard deviations of position
@@ -279,31 +297,35 @@ fn retagged(tag: &FrameTag, map_from_link: &Isometry, covariance: &Matrix6<f64>)
     tag
 }
 
+/// The constants that a fit with the default model found, with their uncertainties. `lens` is that with the fitted constants.
+pub fn refined_constants(smoothed: &Smoothed, lens: &LensParameters) -> Vec<RefinedConstant> {
+    let Smoothed { constants, believed, known, .. } = smoothed;
+    let values = constants.values();
+    let height_m = smoothed.map_from_optical.first().map_or(0.0, |pose| pose.translation.z.abs());
+    // The change of each constant that moves lines by one pixel. Focal length, k1 and tilts are shares of the focal length,
+    // the centre is in pixels; the height counts for ground seen at 45 degrees, the readout time for a camera that turns by
+    // one radian per second.
+    let a_pixel = 1.0 / lens.fx;
+    let systematic = [a_pixel, 1.0, 1.0, a_pixel, a_pixel, a_pixel, height_m * a_pixel, a_pixel];
+    let found = systematic.iter().enumerate().map(|(i, systematic)| RefinedConstant {
+        name: NAMES[i].0.to_owned(),
+        unit: NAMES[i].1.to_owned(),
+        value: values[i],
+        believed: believed[i],
+        known: libm::hypot(known[i], SYSTEMATIC_PX * systematic),
+        observable: known[i] < OBSERVED * believed[i],
+    });
+    found.collect()
+}
+
 impl OfflineRefinement {
     /// The lens, the constants with their uncertainties, and the residuals, as they are stored beside the refined tags.
     pub fn info(&self) -> RefinedInfo {
-        let Smoothed { constants, believed, known, rms_px, .. } = &self.smoothed;
-        let values = constants.values();
-        let height_m = self.smoothed.map_from_optical.first().map_or(0.0, |pose| pose.translation.z.abs());
-        // The change of each constant that moves lines by one pixel. Focal length, k1 and tilts are shares of the focal length,
-        // the centre is in pixels; the height counts for ground seen at 45 degrees, the readout time for a camera that turns by
-        // one radian per second.
-        let a_pixel = 1.0 / self.lens.fx;
-        let systematic = [a_pixel, 1.0, 1.0, a_pixel, a_pixel, a_pixel, height_m * a_pixel, a_pixel];
-        let found = systematic.iter().enumerate().map(|(i, systematic)| RefinedConstant {
-            name: NAMES[i].0.to_owned(),
-            unit: NAMES[i].1.to_owned(),
-            value: values[i],
-            believed: believed[i],
-            known: libm::hypot(known[i], SYSTEMATIC_PX * systematic),
-            observable: known[i] < OBSERVED * believed[i],
-        });
-        let frames = self.smoothed.map_from_optical.len();
         RefinedInfo {
             lens: self.lens.clone(),
-            constants: found.collect(),
-            frames,
-            rms_px: *rms_px,
+            constants: refined_constants(&self.smoothed, &self.lens),
+            frames: self.smoothed.map_from_optical.len(),
+            rms_px: self.smoothed.rms_px,
             held_out_px: self.held_out_px,
         }
     }

@@ -18,7 +18,7 @@ use crate::doctor::{Finding, estimate_delay, examine};
     "Examples:",
     "\n  realitysim doctor --config robot.toml",
     "\n  realitysim doctor --calibration",
-    "\n  realitysim doctor --calibration captures/2026-11-28T10-00-00Z-robot --since captures/2026-11-24T10-00-00Z-robot",
+    "\n  realitysim doctor --calibration today/ --since tuesday/",
 ))]
 pub struct DoctorArguments {
     /// Where captures will be kept

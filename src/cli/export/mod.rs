@@ -59,7 +59,7 @@ pub struct ExportArguments {
 }
 
 /// Standard deviation of the place of images for training: more blurs what is learnt, metres.
-const TRAINING_SIGMA_M: f64 = 0.01;
+pub const TRAINING_SIGMA_M: f64 = 0.01;
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Format {

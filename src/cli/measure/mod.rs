@@ -1,5 +1,6 @@
 //! Command `realitysim measure`: how good tags, views and recorder are, and under what conditions they fail.
 
+mod accuracy;
 mod contrast;
 mod cost;
 mod detector;
@@ -24,6 +25,7 @@ pub struct MeasureArguments {
 
 #[derive(Subcommand)]
 enum Command {
+    Accuracy(accuracy::AccuracyArguments),
     Cost(Box<cost::CostArguments>),
     Contrast(contrast::ContrastArguments),
     Falsify(falsify::FalsifyArguments),
@@ -36,6 +38,7 @@ enum Command {
 
 pub fn run(arguments: &MeasureArguments, json: bool) -> anyhow::Result<Outcome> {
     match &arguments.command {
+        Command::Accuracy(arguments) => accuracy::run(arguments, json),
         Command::Cost(arguments) => cost::run(arguments, json),
         Command::Contrast(arguments) => contrast::run(arguments, json),
         Command::Falsify(arguments) => falsify::run(arguments, json),

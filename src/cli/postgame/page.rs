@@ -1,14 +1,13 @@
 //! The page about a game: numbers, a time line, a map, and a picture of each time in which the own pose was wrong.
 
 use std::fmt::Write;
-use std::io::Cursor;
 
 use anyhow::Context;
-use base64::prelude::{BASE64_STANDARD, Engine};
 use glam::DVec2;
 use image::{ImageFormat, RgbImage};
 
 use super::super::export::frames::each_frame;
+use super::super::html::{END, embedded, escaped, head};
 use super::{Walk, cause_text, motion_text};
 use crate::evaluation::drawing::{Route, RouteStyle, field_map, overlay};
 use crate::evaluation::postgame::{Episode, GameFrame, Postgame, WRONG_M};
@@ -34,13 +33,13 @@ pub(super) fn page(walk: &Walk, game: &Postgame) -> anyhow::Result<String> {
     let title = walk.capture.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let map = embedded(&map(walk.frames, &field), ImageFormat::Png)?;
     let (rows, odometry) = (episode_rows(walk, game, &field)?, odometry_rows(game));
-    let mut html = String::from(HEAD);
+    let mut html = head("After the game");
     let _ = writeln!(
         html,
         "<h1>{}</h1><p class=big>The robot's own pose was wrong for <b>{:.1} s</b>, {:.0} % of the time, {} times.</p>\
          <p>{} of {} frames judged. Median {:.1} cm and {:.1}&deg;, 95 % within {:.1} cm. Wrong is more than {:.1} m or 15&deg; off the \
          tag.</p><h2>Distance over time</h2>{}<h2>On the field</h2><p>Red by the tags, blue as the robot believed.</p>{map}\
-         <h2>When it was wrong</h2>{rows}<h2>Odometry</h2>{odometry}</main></body></html>",
+         <h2>When it was wrong</h2>{rows}<h2>Odometry</h2>{odometry}{END}",
         escaped(&title),
         game.wrong_s,
         100.0 * game.wrong_share,
@@ -55,13 +54,6 @@ pub(super) fn page(walk: &Walk, game: &Postgame) -> anyhow::Result<String> {
     );
     Ok(html)
 }
-
-const HEAD: &str = "<!doctype html><html lang=en><head><meta charset=utf-8><meta name=viewport content=\"width=device-width\">\
-<title>After the game</title><style>\
-body{font:16px/1.5 system-ui,sans-serif;margin:0;color:#222;background:#fff}main{max-width:1020px;margin:auto;padding:1em}\
-.big{font-size:1.3em}img,svg{max-width:100%;height:auto}table{border-collapse:collapse}td,th{padding:.3em .8em;text-align:left;\
-border-bottom:1px solid #8884}figure{margin:1em 0}@media(prefers-color-scheme:dark){body{color:#ddd;background:#181818}}\
-</style></head><body><main>";
 
 /// The distance of the own pose over time, wrong times shaded.
 fn time_line(frames: &[GameFrame], episodes: &[Episode]) -> String {
@@ -193,19 +185,4 @@ fn odometry_rows(game: &Postgame) -> String {
         game.odometry.seconds
     );
     table
-}
-
-/// A picture inside of the page.
-fn embedded(picture: &RgbImage, format: ImageFormat) -> anyhow::Result<String> {
-    let mut bytes = Cursor::new(Vec::new());
-    picture.write_to(&mut bytes, format)?;
-    Ok(format!(
-        "<img alt=\"\" src=\"data:{};base64,{}\">",
-        format.to_mime_type(),
-        BASE64_STANDARD.encode(bytes.get_ref())
-    ))
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
 }

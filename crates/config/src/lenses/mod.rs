@@ -27,7 +27,7 @@ use realitysim_geometry::{Isometry, Lens, LensParameters};
 pub use own::lens_text;
 pub use ros::{camera_calibration_yaml, lens_from_camera_info};
 
-static FOLDER: Dir<'static> = include_dir!("$CARGO_MANIFEST_DIR/../../config/cameras");
+static FOLDER: Dir<'static> = include_dir!("$CARGO_MANIFEST_DIR/cameras");
 const SHIPPED: Shipped = Shipped { kind: "camera", folder: &FOLDER };
 
 /// A lens file that has been checked.

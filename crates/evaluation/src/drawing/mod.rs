@@ -8,24 +8,29 @@
 //! makes a plainer picture, never an error.
 
 mod canvas;
+mod cell_map;
 pub mod chart;
 mod coverage_map;
 mod ellipse;
 mod explanation;
 mod field_map;
+mod field_svg;
 mod overlay;
 mod paint;
 mod panels;
 mod plot;
 mod routes;
 mod side_by_side;
+mod svg;
 mod tagged_frame;
 mod text;
 
+pub use cell_map::{Cell, cell_map};
 pub use coverage_map::{WalkGuide, WalkPlace, coverage_map};
 pub use ellipse::{Ellipse, SIGMAS_OF_95};
 pub use explanation::{LEGEND, explanation};
 pub use field_map::{field_map, route_map};
+pub use field_svg::FieldSvg;
 pub use overlay::{overlay, projected_lines};
 pub use panels::panels;
 pub use side_by_side::{beside, side_by_side};

@@ -288,7 +288,13 @@ fn assess(views: &[BoardView], state: State, believed: &LensParameters) -> Resul
             }
             fitting += 1;
             squares += off.length_squared();
-            let along = |across: DVec2| PlaceResidual { pixel: *pixel, across, off_px: off.dot(across), sigmas: 1.0 };
+            let along = |across: DVec2| PlaceResidual {
+                pixel: *pixel,
+                across,
+                off_px: off.dot(across),
+                sigmas: 1.0,
+                ground: None,
+            };
             of_view.extend([along(DVec2::X), along(DVec2::Y)]);
         }
         residuals.push(of_view);

@@ -26,7 +26,7 @@ use moving_camera::MovingCamera;
 use realitysim_geometry::{Isometry, LensError, LensModel, LensParameters, Pose2, Twist};
 
 pub use model::Model;
-pub use residuals::{PlaceResidual, place_residuals};
+pub use residuals::{GroundResidual, PlaceResidual, place_residuals};
 
 /// One frame of the walk with its measurements.
 #[derive(Clone, Debug, PartialEq)]

@@ -232,7 +232,7 @@ mod tests {
         let (pixel, other) = (DVec2::new(100.0, 400.0), DVec2::new(500.0, 300.0));
         let frame = |number: usize| {
             let noise = if number.is_multiple_of(2) { 0.2 } else { -0.2 };
-            let at = |pixel, across, off_px| PlaceResidual { pixel, across, off_px, sigmas: 1.0 };
+            let at = |pixel, across, off_px| PlaceResidual { pixel, across, off_px, sigmas: 1.0, ground: None };
             vec![at(pixel, DVec2::X, 0.3 + noise), at(pixel, DVec2::Y, noise), at(other, DVec2::X, noise)]
         };
         let bias = grid.bias(&(0..100).map(frame).collect::<Vec<_>>(), 0.25);

@@ -10,6 +10,8 @@ use crate::refinement::error_between;
 use crate::refinement::miscalibration::{UNSEEN_M_PER_S, row, unmeasured_rad_per_s};
 use realitysim_geometry::{Isometry, Lens, LensError, LensModel, LensParameters, Pose2, Twist, wrap_angle};
 
+/// Rays that fall less steeply than this (sine) are not followed to the ground.
+const MIN_SLOPE: f64 = 0.05;
 /// Scale of the robust loss (Geman-McClure), in standard deviations.
 pub(super) const ROBUST: f64 = 4.0;
 /// Odometry does not link frames that are farther apart in time.
@@ -142,7 +144,23 @@ impl Cameras {
         // A step of a milliradian: where a line fits exactly, its direction in the image is asked for too.
         let across = (place.pixel - drawn(1e-3)?).normalize_or_zero();
         let off_px = (place.pixel - drawn(line.off_rad)?).dot(across);
-        Some(PlaceResidual { pixel: place.pixel, across, off_px, sigmas: place.sigmas })
+        let ground = self.ground_residual(place, moving, line.normal);
+        Some(PlaceResidual { pixel: place.pixel, across, off_px, sigmas: place.sigmas, ground })
+    }
+
+    /// The residual of a line place on the ground: where its ray, and one a little across the line, meet the plane of the lines.
+    fn ground_residual(&self, place: &Place, moving: &MovingCamera, normal: DVec3) -> Option<GroundResidual> {
+        let Ray { from, along } = self.camera.ray(place.pixel, moving)?;
+        let across = place.tangent.truncate().perp().try_normalize()?;
+        let [longer, wider] = place.by_size;
+        let point = place.point + longer * self.field_m.x + wider * self.field_m.y;
+        let off_m = |along: DVec3| {
+            let meets = (along.z < -MIN_SLOPE).then(|| from + along * ((point.z - from.z) / along.z))?;
+            Some((meets - point).truncate().dot(across))
+        };
+        let here = off_m(along)?;
+        let m_per_px = (off_m(along + normal * 1e-3)? - here).abs() / (1e-3 * place.pixels_per_rad);
+        Some(GroundResidual { point: point.truncate(), across, off_m: here, m_per_px })
     }
 
     /// The residual of a line place; `None` where the lens draws nothing or the camera lies on the line.
@@ -208,6 +226,21 @@ pub struct PlaceResidual {
     pub off_px: f64,
     /// Standard deviation relative to that of a clear line of the best width.
     pub sigmas: f64,
+    /// The same on the ground; `None` of what is not painted on it, and near the horizon.
+    pub ground: Option<GroundResidual>,
+}
+
+/// How far on the ground a line was found from where the field has it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GroundResidual {
+    /// Point of the field's line, in `map`, metres.
+    pub point: DVec2,
+    /// Unit vector across the line, in `map`.
+    pub across: DVec2,
+    /// Distance along that vector from the field's line to where the ray meets the ground, metres.
+    pub off_m: f64,
+    /// Distance on the ground for each pixel across the line, metres.
+    pub m_per_px: f64,
 }
 
 /// The residuals of all line places that fit, by frame.

@@ -10,6 +10,7 @@ use crate::SceneError;
 use crate::check::check_range;
 use crate::file::Route;
 use crate::file::SceneFile;
+use crate::motion::Motion;
 use crate::stream::{Purpose, Stream};
 use realitysim_geometry::Field;
 
@@ -49,6 +50,8 @@ pub(crate) struct SwayModel {
     phase: f64,
     /// End of the walk, seconds.
     end: f64,
+    /// Begin and end of each time in which the robot stands, seconds.
+    stands: Vec<(f64, f64)>,
 }
 
 /// Time over which the sway fades in at the start and out at the end, seconds.
@@ -82,7 +85,7 @@ impl EffectKind for GaitSway {
     }
 
     fn add_to(&self, scene: &mut Scene, _: &str) -> Result<(), SceneError> {
-        scene.sway = Some(self.model(scene.file.scene.seed, scene.motion.duration()));
+        scene.sway = Some(self.model(scene.file.scene.seed, &scene.motion));
         Ok(())
     }
 }
@@ -93,8 +96,8 @@ impl GaitSway {
         [self.roll_deg, self.pitch_deg, self.lateral_m, self.vertical_m] == [0.0; 4]
     }
 
-    /// The sway of a walk that ends at `end` seconds. The seed gives the phase.
-    pub(crate) fn model(&self, seed: u64, end: f64) -> SwayModel {
+    /// The sway of a walk. The seed gives the phase.
+    pub(crate) fn model(&self, seed: u64, motion: &Motion) -> SwayModel {
         SwayModel {
             amplitude: Sway {
                 roll: self.roll_deg.to_radians(),
@@ -104,7 +107,8 @@ impl GaitSway {
             },
             step_hz: self.step_hz,
             phase: Stream::new(seed, Purpose::GaitSway, 0).between(0.0, TAU),
-            end,
+            end: motion.duration(),
+            stands: motion.stands().map(|(from, until, _)| (from, until)).collect(),
         }
     }
 }
@@ -112,7 +116,10 @@ impl GaitSway {
 impl SwayModel {
     /// Sway at `time`, seconds along the route.
     pub(crate) fn at(&self, time: f64) -> Sway {
-        let strength = ease(time / FADE_S) * ease((self.end - time) / FADE_S);
+        let faded =
+            |strength: f64, (from, until): &(f64, f64)| strength * ease((from - time).max(time - until) / FADE_S);
+        let ends = ease(time / FADE_S) * ease((self.end - time) / FADE_S);
+        let strength = self.stands.iter().fold(ends, faded);
         let stride = PI * self.step_hz * time + self.phase;
         let a = &self.amplitude;
         Sway {

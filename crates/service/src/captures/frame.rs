@@ -13,27 +13,35 @@ use realitysim_config::plain_file;
 use realitysim_evaluation::drawing::projected_lines;
 use realitysim_geometry::Isometry;
 use realitysim_localization::refinement::line_measurement::Finding;
-use realitysim_log_input::{decode, encode};
+use realitysim_log_input::decode;
+use realitysim_log_input::encode;
 use realitysim_ros2::mcap_read::{Channel, LogMessage};
-use realitysim_ros2::messages::{CompressedImageView, FrameTag, Image, Message};
+use realitysim_ros2::messages::{CompressedImage, CompressedImageView, FrameTag, Image, Message};
 use realitysim_tagging::explanation::{ExplainOptions, Sight, explain};
+use realitysim_vision::Picture;
 
 /// Quality of a raw frame as JPEG, 1 to 100.
 const QUALITY: u8 = 92;
 
 /// Returns the frame's picture as it was recorded; a raw one becomes a JPEG.
 pub(super) fn picture(capture: &Capture, frame: u32) -> Result<(Vec<u8>, &'static str), HttpProblem> {
-    let place = entry(capture, frame)?.image;
-    let place = place.ok_or_else(|| {
-        gone("the capture has no image of this frame: it was thinned or lost, or is compressed twice")
-    })?;
+    let place = image_place(capture, frame)?;
     let data = read(capture, place)?;
     if !place.is_compressed {
-        return Ok((jpeg_of_raw(data)?, "image/jpeg"));
+        let picture = decoded(data, place)?;
+        let jpeg = encode::jpeg(&picture.to_rgb(), picture.width, picture.height, ColorType::Rgb, QUALITY);
+        return Ok((jpeg.map_err(|_| changed())?, "image/jpeg"));
     }
     let image = CompressedImageView::decode(&data).map_err(|_| changed())?.data;
     let media_type = if image.starts_with(b"\x89PNG") { "image/png" } else { "image/jpeg" };
     Ok((image.to_vec(), media_type))
+}
+
+/// Returns the frame's pixels, R G B row by row, with its width and height.
+pub(super) fn pixels(capture: &Capture, frame: u32) -> Result<(Vec<u8>, [usize; 2]), HttpProblem> {
+    let place = image_place(capture, frame)?;
+    let picture = decoded(read(capture, place)?, place)?;
+    Ok((picture.to_rgb(), [picture.width, picture.height]))
 }
 
 /// Returns the frame's tag as JSON, with the lines of the field's paint where it puts them, in pixels from the corner of the image.
@@ -84,6 +92,11 @@ pub(super) fn explanation(capture: &Capture, frame: u32) -> Result<Value, HttpPr
     }))
 }
 
+fn image_place(capture: &Capture, frame: u32) -> Result<Place, HttpProblem> {
+    let none = "the capture has no image of this frame: it was thinned or lost, or is compressed twice";
+    entry(capture, frame)?.image.ok_or_else(|| gone(none))
+}
+
 fn entry(capture: &Capture, frame: u32) -> Result<&FrameEntry, HttpProblem> {
     let count = capture.frames.len();
     capture.frames.get(frame as usize).ok_or_else(|| match count {
@@ -93,7 +106,7 @@ fn entry(capture: &Capture, frame: u32) -> Result<&FrameEntry, HttpProblem> {
 }
 
 /// Reads the bytes of a message out of its segment.
-fn read(capture: &Capture, place: Place) -> Result<Vec<u8>, HttpProblem> {
+pub(super) fn read(capture: &Capture, place: Place) -> Result<Vec<u8>, HttpProblem> {
     let path = capture.files.get(place.file as usize).ok_or_else(changed)?;
     let mut data = vec![0; place.length as usize];
     let mut file = plain_file::open(path).map_err(|_| changed())?;
@@ -101,11 +114,13 @@ fn read(capture: &Capture, place: Place) -> Result<Vec<u8>, HttpProblem> {
     Ok(data)
 }
 
-fn jpeg_of_raw(data: Vec<u8>) -> Result<Vec<u8>, HttpProblem> {
-    let channel = Arc::new(Channel::of::<Image>(0, "image", Default::default()));
-    let message = LogMessage { channel, sequence: 0, log_time_ns: 0, publish_time_ns: 0, data };
-    let picture = decode::picture(&message).map_err(|_| gone("the image of this frame does not decode"))?;
-    encode::jpeg(&picture.to_rgb(), picture.width, picture.height, ColorType::Rgb, QUALITY).map_err(|_| changed())
+fn decoded(data: Vec<u8>, place: Place) -> Result<Picture, HttpProblem> {
+    let channel = match place.is_compressed {
+        true => Channel::of::<CompressedImage>(0, "image", Default::default()),
+        false => Channel::of::<Image>(0, "image", Default::default()),
+    };
+    let message = LogMessage { channel: Arc::new(channel), sequence: 0, log_time_ns: 0, publish_time_ns: 0, data };
+    decode::picture(&message).map_err(|_| gone("the image of this frame does not decode"))
 }
 
 fn gone(what: &str) -> HttpProblem {

@@ -5,6 +5,7 @@
 
 mod frame;
 mod scan;
+mod tag_arrays;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
@@ -54,6 +55,16 @@ impl Captures {
     /// Returns the tags of a session, column by column.
     pub(super) fn tags(&self, name: &str) -> Result<Vec<u8>, HttpProblem> {
         Ok(self.capture(name)?.columns().to_string().into_bytes())
+    }
+
+    /// Returns the tags of a session as arrays, `.npz`.
+    pub(super) fn tag_arrays(&self, name: &str) -> Result<Vec<u8>, HttpProblem> {
+        tag_arrays::tag_arrays(&*self.capture(name)?)
+    }
+
+    /// Returns a frame's pixels, R G B, with width and height.
+    pub(super) fn pixels(&self, name: &str, frame: u32) -> Result<(Vec<u8>, [usize; 2]), HttpProblem> {
+        frame::pixels(&*self.capture(name)?, frame)
     }
 
     /// Returns a frame's picture and its media type.

@@ -40,10 +40,10 @@ pub(in super::super) struct Capture {
 #[derive(Clone, Debug)]
 pub(super) struct FrameEntry {
     pub(super) stamp_ns: i64,
-    valid: bool,
-    ambiguous: bool,
+    pub(super) valid: bool,
+    pub(super) ambiguous: bool,
     /// Index of the reason; that of a valid tag is empty.
-    reason: u16,
+    pub(super) reason: u16,
     /// Position and heading in `map`, metres and degrees.
     place: [f32; 3],
     sigma_m: f32,
@@ -206,7 +206,7 @@ impl Capture {
             "robot": self.info.robot,
             "started": self.info.started,
             "field": self.field.dimensions(),
-            "lens": { "width": self.lens.width(), "height": self.lens.height() },
+            "lens": self.lens.parameters(),
             "first_ns": first_ns.to_string(),
             "reasons": self.reasons,
             "t_s": column(&|frame| json!(seconds(frame.stamp_ns))),

@@ -4,15 +4,14 @@
 
 mod axis;
 mod labels;
-mod svg;
 
 use glam::DVec2;
 
+use super::svg::Svg;
 use super::text;
 use axis::Span;
 pub use axis::{Axis, Scale};
 use labels::LabelLayout;
-use svg::Svg;
 
 /// Width of a chart, pixels. All charts have one size, since they stand below each other in documents.
 const WIDTH: f64 = 900.0;

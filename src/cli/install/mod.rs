@@ -1,4 +1,8 @@
 //! Command `realitysim install`: installs the recorder as a service of this machine.
+//!
+//! The Debian package is made of what this command writes (`./dev package`), so that there is one list of files.
+
+mod shell_files;
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -7,13 +11,17 @@ use std::process::Command;
 use anyhow::{Context, bail};
 use clap::Args;
 
+use super::settings::UsageError;
 use super::{Outcome, output, paths};
 use crate::config::plain_file;
 
 /// Put the recorder in place as a service of this machine (as root)
 ///
-/// Copies the program to /usr/bin, the unit, udev rules and user to their places, and a config to /etc/realitysim if there is none.
-/// Starts nothing: edit the config, then `systemctl enable --now realitysim`. A second run replaces all but the config.
+/// For a system without Debian's packages; where there is dpkg, `apt install ./realitysim_VERSION_ARCHITECTURE.deb` does this and can be undone.
+///
+/// Copies the program to /usr/bin, the unit, udev rules, user, manual pages and completions of shells to their places, and a config to
+/// /etc/realitysim if there is none. Starts nothing: edit the config, then `systemctl enable --now realitysim`. A second run replaces all
+/// but the config.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim install")]
 pub struct InstallArguments {
@@ -23,13 +31,15 @@ pub struct InstallArguments {
 }
 
 const FILES: [(&str, &str); 4] = [
-    ("usr/lib/systemd/system/realitysim.service", include_str!("../../systemd/realitysim.service")),
-    ("usr/lib/udev/rules.d/99-realitysim.rules", include_str!("../../systemd/99-realitysim.rules")),
-    ("usr/lib/sysusers.d/realitysim.conf", include_str!("../../systemd/realitysim.sysusers")),
-    ("usr/lib/tmpfiles.d/realitysim.conf", include_str!("../../systemd/realitysim.tmpfiles")),
+    ("usr/lib/systemd/system/realitysim.service", include_str!("../../../systemd/realitysim.service")),
+    ("usr/lib/udev/rules.d/99-realitysim.rules", include_str!("../../../systemd/99-realitysim.rules")),
+    ("usr/lib/sysusers.d/realitysim.conf", include_str!("../../../systemd/realitysim.sysusers")),
+    ("usr/lib/tmpfiles.d/realitysim.conf", include_str!("../../../systemd/realitysim.tmpfiles")),
 ];
-const CONFIG: (&str, &str) = ("etc/realitysim/robot.toml", include_str!("../../config/robot.toml"));
+const CONFIG: (&str, &str) = ("etc/realitysim/robot.toml", include_str!("../../../config/robot.toml"));
 const PROGRAM: &str = "usr/bin/realitysim";
+/// Where dpkg lists the files of the Debian package while it is installed.
+const OF_PACKAGE: &str = "var/lib/dpkg/info/realitysim.list";
 
 /// Commands that make the system read the files, in this order.
 const COMMANDS: [&[&str]; 5] = [
@@ -45,8 +55,15 @@ const MAX_PROGRAM_BYTES: u64 = 1 << 30;
 
 pub fn run(arguments: &InstallArguments) -> anyhow::Result<Outcome> {
     let root = arguments.root.as_deref().unwrap_or(Path::new("/"));
+    if root.join(OF_PACKAGE).exists() {
+        let what = "is installed from a Debian package, whose files dpkg keeps: install a newer package, or remove that one first";
+        return Err(UsageError(format!("{}: realitysim {what}", root.display())).into());
+    }
     for (name, content) in FILES {
         write(&root.join(name), content.as_bytes(), 0o644)?;
+    }
+    for (name, content) in shell_files::shell_files()? {
+        write(&root.join(name), &content, 0o644)?;
     }
     if !root.join(CONFIG.0).exists() {
         write(&root.join(CONFIG.0), CONFIG.1.as_bytes(), 0o644)?;

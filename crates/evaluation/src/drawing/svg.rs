@@ -1,4 +1,4 @@
-//! Writer of the few SVG elements that a chart needs. Coordinates are pixels from the left top corner, rounded to
+//! Writer of the few SVG elements that charts and maps need. Coordinates are pixels from the left top corner, rounded to
 //! hundredths.
 
 use std::fmt::Write;
