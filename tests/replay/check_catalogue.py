@@ -22,7 +22,7 @@ for question, stated in questions:
     assert answer == stated, f"{question}\nanswers\n{answer}\nand the document states\n{stated}"
 
 frames = polars.scan_parquet("catalogue/**/*.parquet", hive_partitioning=True).collect()
-rows, valid = duckdb.sql("select count(*), count(*) filter (valid) from 'catalogue/**/*.parquet'").fetchone()
+[(rows, valid)] = duckdb.sql("select count(*), count(*) filter (valid) from 'catalogue/**/*.parquet'").fetchall()
 assert (frames.height, frames["valid"].sum()) == (rows, valid)
 assert {"field", "date", "robot"} <= set(frames.columns)
 assert frames.filter(polars.col("valid"))["x_m"].null_count() == 0
