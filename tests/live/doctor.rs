@@ -5,7 +5,7 @@ use std::os::unix::process::CommandExt;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use mavlink::dialects::common::{ATTITUDE_QUATERNION_DATA, HEARTBEAT_DATA, MavFrame, MavMessage, ODOMETRY_DATA};
 use mavlink::{MAVLinkV2MessageRaw, MavHeader};
@@ -37,7 +37,10 @@ impl Board {
                     let mut raw = MAVLinkV2MessageRaw::new();
                     raw.serialize_message(header, &message);
                     header.sequence = header.sequence.wrapping_add(1);
-                    line.write_all(raw.raw_bytes()).expect("sent");
+                    // The cable may be gone.
+                    if line.write_all(raw.raw_bytes()).is_err() {
+                        return;
+                    }
                 }
                 std::thread::sleep(Duration::from_millis(20));
             }
@@ -47,9 +50,14 @@ impl Board {
 }
 
 impl Drop for Board {
+    /// Waits until the board is silent. One that is stuck in a line that nobody reads any more ends with its cable.
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
-        let _ = self.thread.take().map(std::thread::JoinHandle::join);
+        let is_silent = || self.thread.as_ref().is_none_or(std::thread::JoinHandle::is_finished);
+        let until = Instant::now() + Duration::from_secs(1);
+        while !is_silent() && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(5));
+        }
     }
 }
 

@@ -29,6 +29,7 @@ impl Cable {
             // Of this process alone: what a child of another test inherits would outlive this one.
             let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).expect("a pty");
             grantpt(&master).and_then(|()| unlockpt(&master)).expect("unlocked");
+            rustix::fs::fcntl_setfl(&master, OFlags::RDWR | OFlags::NONBLOCK).expect("no waiting");
             master
         });
         let opened = masters.each_ref().map(|master| {
@@ -63,8 +64,13 @@ fn carry(masters: &[OwnedFd; 2], stop: &AtomicBool) {
             if ready[from] {
                 let count = rustix::io::read(&masters[from], &mut buffer).unwrap_or(0);
                 let mut rest = &buffer[..count];
-                while let (false, Ok(written)) = (rest.is_empty(), rustix::io::write(&masters[to], rest)) {
-                    rest = &rest[written..];
+                while !rest.is_empty() && !stop.load(Ordering::Relaxed) {
+                    match rustix::io::write(&masters[to], rest) {
+                        Ok(written) => rest = &rest[written..],
+                        // Nobody reads at the other end: the cable can be unplugged all the same.
+                        Err(rustix::io::Errno::AGAIN) => std::thread::sleep(Duration::from_millis(5)),
+                        Err(_) => break,
+                    }
                 }
             }
         }
