@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::junit::{self, TestCase};
 use super::values::whole;
 use super::{Outcome, output, paths};
+use crate::cli::host_info::cores;
 use crate::evaluation::Summary;
 use crate::evaluation::reference::Difference;
 use crate::evaluation::suite::{self, Broken, CaseReport, LOWER_LIMITS, Options, Suite, Watcher};
@@ -80,7 +81,7 @@ fn run_suite(arguments: &CheckArguments, mut suite: Suite, json: bool) -> anyhow
         }
         None => temporary.insert(paths::temporary()?).path().to_owned(),
     };
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let cores = cores();
     let options = Options { captures, jobs: arguments.jobs.map_or(cores, usize::from) };
     let mut cases = suite::run(&suite, &options, &ProgressPrinter);
     if temporary.is_some() {

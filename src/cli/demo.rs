@@ -7,6 +7,7 @@ use glam::DVec2;
 
 use super::paths::{check_output, make_folder, save};
 use super::{Outcome, eval, output, scene};
+use crate::cli::host_info::cores;
 use crate::config::Settings;
 use crate::database::{self, TagLimits};
 use crate::evaluation::capture::{read_truth, tagged};
@@ -59,7 +60,7 @@ pub fn run(arguments: &DemoArguments, json: bool) -> anyhow::Result<Outcome> {
         captures: folder.join("captures"),
         settings: Settings { field: scene.file().scene.field.clone(), ..Settings::default() },
         initial: None,
-        threads: std::thread::available_parallelism().map_or(1, usize::from),
+        threads: cores(),
         realtime: false,
         warm_start: false,
     };

@@ -19,7 +19,7 @@ use crate::localization::refinement::line_measurement::Finding;
 use crate::localization::validation::THRESHOLDS;
 use crate::localization::{Evidence, Rejection, TriedPose};
 use crate::tagging::explanation::{self, ExplainOptions, Explanation, Sight};
-use crate::tagging::single_image::{FitQuality, ImageLocation};
+use crate::tagging::image_location::{FitQuality, ImageLocation};
 
 /// Show why the tag of one frame, or the pose of one image, is what it is
 ///

@@ -4,9 +4,14 @@ use std::fs;
 
 use crate::localization::{SimdPath, kernel};
 
+/// Number of processors that this program may use; 1 if the system does not tell.
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
 /// Describes the machine well enough to know what to expect elsewhere.
 pub fn describe(path: SimdPath) -> String {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let cores = cores();
     let path = match kernel::available(path) {
         SimdPath::Avx2 => "AVX2",
         SimdPath::Sse2 => "SSE2",

@@ -12,6 +12,7 @@ use super::settings::UsageError;
 use super::status_text::status_text;
 use super::values::address;
 use super::{Outcome, output};
+use crate::cli::host_info::cores;
 use crate::config::Settings;
 use crate::live::{RemoteRecorder, RemoteSocket, Status, stop_flag};
 use crate::recording::sync::{SSH, Source};
@@ -53,7 +54,7 @@ pub fn run(arguments: &LiveArguments, json: bool) -> anyhow::Result<Outcome> {
         live: Some(Arc::new(robot)),
         listen: arguments.listen,
         token: arguments.token_file.as_deref().map(token).transpose()?,
-        threads: std::thread::available_parallelism().map_or(1, usize::from),
+        threads: cores(),
         settings: Settings::default().views,
         lenses: super::serve::lenses(&[])?,
         scenes: Default::default(),

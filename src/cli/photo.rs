@@ -14,9 +14,8 @@ use crate::config::{LensFile, LensFormat, load_lens_for_image, plain_file};
 use crate::geometry::{Euler, Field, Lens, Pose2};
 use crate::log_input::{body_mask, decode};
 use crate::recording::{SESSION_FILE, read_info};
-use crate::tagging::single_image::{
-    ImageLocation, ImagePrior, Look, MEASURED_HEIGHT_SIGMA_M, MIN_SHARE, MIN_WEIGHT, PoseHypothesis,
-};
+use crate::tagging::image_location::{ImageLocation, MIN_SHARE, MIN_WEIGHT, PoseHypothesis};
+use crate::tagging::single_image::{ImagePrior, Look, MEASURED_HEIGHT_SIGMA_M};
 use crate::tagging::unknown_mount::UnknownMount;
 use crate::tagging::warnings::scaled_lens;
 use crate::vision::{BodyMask, Picture};

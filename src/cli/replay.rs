@@ -8,6 +8,7 @@ use super::reference_check::ReferenceArguments;
 use super::settings::{SettingsArguments, check_initial, planar_pose};
 use super::values::number;
 use super::{Outcome, output, paths};
+use crate::cli::host_info::cores;
 use crate::config::{Settings, load_field};
 use crate::geometry::{Field, Pose2};
 use crate::log_input::{InputSource, scene_source};
@@ -74,7 +75,7 @@ pub fn run(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
 }
 
 fn replay_and_report(arguments: &ReplayArguments, json: bool) -> anyhow::Result<Outcome> {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from).min(MAX_THREADS);
+    let cores = cores().min(MAX_THREADS);
     let settings = arguments.settings.resolve_for(&arguments.source)?;
     if let Some(initial) = &arguments.initial {
         let (name, field) = source_field(&arguments.source, &settings)?;

@@ -11,6 +11,7 @@ use super::paths::cannot_read;
 use super::settings::UsageError;
 use super::values::{address, number, whole};
 use super::{Outcome, output};
+use crate::cli::host_info::cores;
 use crate::config::{Settings, lens_names, load_lens, plain_file};
 use crate::geometry::LensParameters;
 use crate::live::stop_flag;
@@ -76,9 +77,7 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
         captures: captures_folder(arguments.captures.as_deref())?,
         listen: arguments.listen,
         token: arguments.token_file.as_deref().map(token).transpose()?,
-        threads: arguments
-            .threads
-            .map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from),
+        threads: arguments.threads.map_or_else(cores, usize::from),
         settings: settings.views,
         lenses: lenses(&arguments.lens)?,
         scenes,

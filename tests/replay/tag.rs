@@ -78,7 +78,8 @@ fn what_cannot_be_is_named() {
     }
 }
 
-/// A frame of path-traced turf (tests/data/turf) as `frame.jpg`, its lens as `camera.yaml`, and its true pose.
+/// Calls `each` with the true pose of every so many frames of path-traced turf (tests/data/turf), with the frame written as `frame.jpg` and
+/// its lens as `camera.yaml`.
 fn turf_frames(room: &Room, name: &str, step: usize, mut each: impl FnMut(Isometry)) {
     let log = format!("{}/tests/data/turf/{name}.mcap", env!("CARGO_MANIFEST_DIR"));
     let messages = read_log(Path::new(&log));
@@ -275,12 +276,7 @@ fn attitude_and_height_are_found_from_the_lines_or_refused() {
     for (name, truth) in [&truths[0], &truths[truths.len() - 1]] {
         let known = "--lens lens.toml --field kid-2009 --json";
         let report = room.run(&format!("tag frames/{name} {known}")).json();
-        let number = |value: &Value| value.as_f64().unwrap();
-        let place =
-            |pose: &Value| (number(&pose["x"]) - truth.translation.x).hypot(number(&pose["y"]) - truth.translation.y);
-        let off_m = place(&report["best"]["pose"]).min(place(&report["mirror"]));
-        let off_z_m = (number(&report["z"]) - truth.translation.z).abs();
-        let off_deg = (number(&report["pitch_deg"]) - truth.euler().pitch.to_degrees()).abs();
+        let [off_m, off_z_m, off_deg] = off(&report, truth);
         println!("{name}: {}, {off_m:.3} m, {off_z_m:.3} m of height, {off_deg:.2} deg off", report["fit"]);
         let is_right = off_m < 0.1 && off_z_m < 0.03 && off_deg < 1.0;
         assert!(is_right || report["fit"] == "none", "{report}");

@@ -37,7 +37,7 @@ def serve(db: Optional[Folder] = None, captures: Optional[Folder] = None, lenses
         command = [program(), "serve", "--json", "--listen", "127.0.0.1:0", "--token-file", file.name, *options]
         child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors)
         address = _address(child, errors)
-    return _Own(f"http://{address}", token, child)
+    return _OwnedServiceClient(f"http://{address}", token, child)
 
 
 def program() -> str:
@@ -49,7 +49,7 @@ def program() -> str:
     return found
 
 
-class _Own(Client):
+class _OwnedServiceClient(Client):
     """The client of a service that ends with it."""
 
     def __init__(self, url: str, token: str, child: "subprocess.Popen[bytes]"):

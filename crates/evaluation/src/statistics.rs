@@ -43,6 +43,12 @@ pub fn quantile(sorted: &[f64], share: f64) -> f64 {
     sorted[low] + (sorted[high] - sorted[low]) * (rank - low as f64)
 }
 
+/// Root mean square; 0 of nothing.
+pub fn rms(values: impl IntoIterator<Item = f64>) -> f64 {
+    let (sum, count) = values.into_iter().fold((0.0, 0usize), |(sum, count), value| (sum + value * value, count + 1));
+    libm::sqrt(sum / count.max(1) as f64)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -11,6 +11,7 @@ use super::calibrated_lens::NEEDED;
 use super::error::ReplayError;
 use super::offline_refinement::{FittedWalk, RefineError, fit};
 use super::replay::{ReplayOptions, replay};
+use super::walk_calibration;
 use realitysim_localization::smoothing::{CONSTANTS, Constants, Model, NAMES};
 use realitysim_recording::{Loss, ReadoutError, RecordingError, SESSION_FILE, SessionInfo, read_info, read_tags};
 
@@ -28,11 +29,26 @@ pub struct CalibrationCheck {
     pub losses: Vec<Loss>,
 }
 
+/// A part of the camera that is checked by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CameraPart {
+    /// Tilt of the mount.
+    Tilt,
+    /// Height above the ground.
+    Height,
+    /// Focal length and centre of the lens.
+    Lens,
+    /// Delay of the stamps.
+    Clock,
+}
+
 /// A constant of lens, mount or clock, compared with its calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CheckedConstant {
+    /// What it is a constant of.
+    pub part: CameraPart,
     /// Its index in [`NAMES`].
-    pub index: usize,
+    index: usize,
     /// Deviation from the calibration, in the unit of [`NAMES`].
     pub deviation: f64,
     /// Standard deviation of `deviation`.
@@ -79,9 +95,7 @@ pub enum CheckError {
     },
 }
 
-/// Share of the frames that must have a valid tag.
-const MIN_VALID_SHARE: f64 = 0.3;
-/// Fewest frames with a valid tag: two seconds.
+/// Fewest frames with a valid tag, however short the recording is.
 const MIN_VALID: u64 = 20;
 /// A constant has changed if it deviates by more than this many standard deviations, and by more than matters.
 const CHANGED_SIGMAS: f64 = 3.0;
@@ -90,8 +104,17 @@ const REACHES: [(f64, f64); 3] = [(0.06, 0.03), (0.02, 0.008), (0.006, 0.003)];
 /// Standard deviations before the fit, in the order of [`NAMES`]: a lens that was touched at most, a mount that was hit, the clock of
 /// another driver. The curve of a lens does not change, nor does the readout of a sensor; the field is as stated.
 const BELIEVED: [f64; CONSTANTS] = [0.02, 5.0, 5.0, 0.0, 0.06, 0.06, 0.05, 0.0, 0.0, 0.0, 0.0, 0.02, 0.1, 0.0, 0.0];
-/// Odometry is fitted since it takes part in the walk, but it depends on gait and carpet: it is no calibration of the camera.
-const ODOMETRY: usize = 12;
+/// The constants that are checked, by their index in [`NAMES`]. Odometry is fitted as well, since it takes part in the walk, but it depends
+/// on gait and carpet.
+const CHECKED: [(CameraPart, usize); 7] = [
+    (CameraPart::Lens, 0),
+    (CameraPart::Lens, 1),
+    (CameraPart::Lens, 2),
+    (CameraPart::Tilt, 4),
+    (CameraPart::Tilt, 5),
+    (CameraPart::Height, 6),
+    (CameraPart::Clock, 11),
+];
 
 /// Checks the calibration by `options.source`, a log or a capture; `options.captures` is a folder for what is made on the way.
 ///
@@ -101,32 +124,35 @@ pub fn check_calibration(
     options: &ReplayOptions,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<CalibrationCheck, CheckError> {
-    let session = placed(options, progress)?;
+    let (session, mut unread) = placed(options, progress)?;
     let model = Model { tag_m: 0.3, tag_rad: 0.1, constants: BELIEVED, ..Model::default() };
     let FittedWalk { info, frames, smoothed, losses, .. } = fit(&session, &model, &REACHES, progress)?;
     let values = smoothed.constants.values();
-    let free = (0..CONSTANTS).filter(|index| BELIEVED[*index] > 0.0 && *index != ODOMETRY);
-    let constants =
-        free.map(|index| CheckedConstant { index, deviation: values[index], sigma: smoothed.known[index] }).collect();
-    Ok(CalibrationCheck { info, frames: frames.len(), corrections: smoothed.constants, constants, losses })
+    let constant =
+        |(part, index)| CheckedConstant { part, index, deviation: values[index], sigma: smoothed.known[index] };
+    let constants = CHECKED.map(constant).to_vec();
+    unread.extend(losses);
+    let corrections = smoothed.constants;
+    Ok(CalibrationCheck { info, frames: frames.len(), corrections, constants, losses: unread })
 }
 
-/// The capture itself, or one made of the log, with enough valid tags.
-fn placed(options: &ReplayOptions, progress: &mut dyn FnMut(u64, u64)) -> Result<PathBuf, CheckError> {
+/// The capture itself, or one made of the log, with enough valid tags, and what could not be read of the log.
+fn placed(options: &ReplayOptions, progress: &mut dyn FnMut(u64, u64)) -> Result<(PathBuf, Vec<Loss>), CheckError> {
     let source = &options.source;
     let mut options = options.clone();
     if source.join(SESSION_FILE).is_file() {
         let tags = read_tags(source)?.found;
         let valid = tags.iter().filter(|tag| tag.valid).count() as u64;
         if is_enough(valid, tags.len() as u64) {
-            return Ok(source.clone());
+            return Ok((source.clone(), Vec::new()));
         }
         // Only a replay looks for the cause.
         options.settings = read_info(source)?.settings;
     }
     let report = replay(&options, &mut |done, all| progress(done, all.unwrap_or(done)))?;
     if is_enough(report.valid, report.tagged) {
-        return Ok(report.session);
+        let unread = report.unread();
+        return Ok((report.session, unread));
     }
     let (valid, frames) = (report.valid, report.tagged);
     Err(CheckError::Unplaced { recording: source.clone(), valid, frames, why: report.warnings })
@@ -137,7 +163,7 @@ fn is_enough(valid: u64, frames: u64) -> bool {
 }
 
 fn needed(frames: u64) -> u64 {
-    MIN_VALID.max((MIN_VALID_SHARE * frames as f64).ceil() as u64)
+    MIN_VALID.max(walk_calibration::needed(frames))
 }
 
 fn because(why: &[String]) -> String {
@@ -164,17 +190,16 @@ impl CheckedConstant {
 }
 
 impl CalibrationCheck {
-    /// The same, compared with an earlier recording in place of the calibration. Both were tagged with the same lens and mount.
+    /// The constants compared with those of an earlier recording in place of the calibration. Both were tagged with the same lens and mount.
     #[must_use]
     pub fn since(&self, earlier: &Self) -> Vec<CheckedConstant> {
         let of_both = self.constants.iter().zip(&earlier.constants);
-        of_both
-            .map(|(now, then)| CheckedConstant {
-                index: now.index,
-                deviation: now.deviation - then.deviation,
-                sigma: now.sigma.hypot(then.sigma),
-            })
-            .collect()
+        let change = |(now, then): (&CheckedConstant, &CheckedConstant)| CheckedConstant {
+            deviation: now.deviation - then.deviation,
+            sigma: libm::hypot(now.sigma, then.sigma),
+            ..*now
+        };
+        of_both.map(change).collect()
     }
 }
 
@@ -183,7 +208,7 @@ mod tests {
     use super::*;
 
     fn drift(deviation: f64, sigma: f64) -> Drift {
-        CheckedConstant { index: 4, deviation, sigma }.drift()
+        CheckedConstant { part: CameraPart::Tilt, index: 4, deviation, sigma }.drift()
     }
 
     #[test]

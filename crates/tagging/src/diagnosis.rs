@@ -1,15 +1,16 @@
 //! Finds out why frames could not be placed on the field.
 //!
-//! A few of the frames are located again, each alone as `realitysim tag` does it, with other fields, other lenses and other
-//! mounts. Nothing is assumed about how the robot moved.
+//! A few of the frames are located again, each alone, by a survey ([`ImagePrior::locate_by_survey`]), with other fields, other lenses and
+//! other mounts. Nothing is assumed about how the robot moved.
 
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
+use super::image_location::{FitQuality, PoseHypothesis};
 use super::perception_pool::decode_picture;
 use super::setup::FramePerception;
-use super::single_image::{FitQuality, ImagePrior, MEASURED_HEIGHT_SIGMA_M, PoseHypothesis, searched_m2};
+use super::single_image::{ImagePrior, MEASURED_HEIGHT_SIGMA_M, searched_m2};
 use realitysim_config::{Settings, Topics, field_names, lens_names, load_field_of_size, load_lens};
 use realitysim_geometry::{Euler, Field, FieldDimensions, Isometry, Lens, LensParameters};
 use realitysim_log_input::synchroniser::Frame;
@@ -149,7 +150,7 @@ const FINALISTS: usize = 3;
 /// Largest area of carpet that a diagnosis searches, all its searches together, square metres.
 ///
 /// The number of searches is bounded by the steps above and by the shipped fields and lenses, and a search takes as long as
-/// its field is large: 60 million poses in all at most. Fields of up to 9 x 6 m need no more; on larger ones fewer samples are searched.
+/// its field is large: 8 million poses of the survey's grid in all at most. Fields of up to 9 x 6 m need no more; on larger ones fewer samples are searched.
 const MAX_SEARCHED_M2: f64 = 17_000.0;
 /// Numbers of samples for a whole diagnosis and for its first rounds, the best that fits into [`MAX_SEARCHED_M2`].
 const SAMPLE_COUNTS: [[usize; 2]; 4] = [[SAMPLES, 2], [SAMPLES, 1], [4, 1], [MIN_SAMPLES, 1]];

@@ -53,6 +53,7 @@ pub mod error;
 pub mod explanation;
 mod filter_stats;
 pub mod frame_cache;
+pub mod image_location;
 pub mod inter_session;
 pub mod log_scan;
 pub mod offline_refinement;

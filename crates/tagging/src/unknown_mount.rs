@@ -9,9 +9,8 @@ use realitysim_geometry::{Euler, Field, Isometry, Lens, Pose2};
 use realitysim_localization::global_search::Candidate;
 use realitysim_vision::{BodyMask, Picture};
 
-use crate::single_image::{
-    FieldSearch, ImageLocation, ImagePrior, MEASURED_HEIGHT_SIGMA_M, PoseHypothesis, without_mirrors,
-};
+use crate::image_location::{ImageLocation, PoseHypothesis, without_mirrors};
+use crate::single_image::{FieldSearch, ImagePrior, MEASURED_HEIGHT_SIGMA_M};
 
 /// What is known about a camera whose attitude or height is not.
 #[derive(Clone, Debug)]
@@ -42,8 +41,6 @@ struct Tried {
     mount: Mount,
     /// Its best places on the field, best first; at least one.
     places: Vec<Candidate>,
-    /// Log likelihood of the best place.
-    log_likelihood: f64,
 }
 
 /// Pitches that are tried, radians: from slightly above the horizon to steeply down, as heads of humanoids look.
@@ -210,15 +207,18 @@ fn is_possible_height(height_m: f64) -> bool {
 
 impl Tried {
     fn new(mount: Mount, places: Vec<Candidate>) -> Option<Self> {
-        let log_likelihood = places.first()?.log_likelihood;
-        Some(Self { mount, places, log_likelihood })
+        (!places.is_empty()).then_some(Self { mount, places })
+    }
+
+    fn log_likelihood(&self) -> f64 {
+        self.places.first().map_or(f64::NEG_INFINITY, |best| best.log_likelihood)
     }
 }
 
 /// The best mounts, best first, of which no two are neighbours on the grid.
 fn best_distinct(tried: &[Tried], count: usize) -> Vec<Tried> {
     let mut ranked: Vec<&Tried> = tried.iter().collect();
-    ranked.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+    ranked.sort_by(|a, b| b.log_likelihood().total_cmp(&a.log_likelihood()));
     let are_near = |a: &Mount, b: &Mount| {
         let ratio = libm::fabs(libm::log(a.height_m / b.height_m)) < libm::log(HEIGHT_RATIO);
         ratio && libm::fabs(a.pitch - b.pitch) < PITCH_STEP_RAD && libm::fabs(a.roll - b.roll) < ROLL_STEP_RAD

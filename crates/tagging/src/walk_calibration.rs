@@ -119,7 +119,8 @@ const FIELD: [usize; 2] = [13, 14];
 /// Number of pieces of a walk that alternate between both halves of the cross-validation.
 const PIECES: usize = 10;
 
-fn needed(frames: u64) -> u64 {
+/// Fewest frames with a valid tag, of so many, from which a walk can be fitted.
+pub(super) fn needed(frames: u64) -> u64 {
     (MIN_VALID_SHARE * frames as f64).ceil() as u64
 }
 

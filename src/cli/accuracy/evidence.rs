@@ -13,6 +13,7 @@ use crate::evaluation::accuracy::{
     Halving, Limits, Measure, SeenFrame, crossings, footprint, residual_maps, split_half, stands, taped, turned,
     verdicts,
 };
+use crate::evaluation::statistics::rms;
 use crate::geometry::{Field, Isometry};
 use crate::localization::smoothing::Model;
 use crate::log_input::log::is_mark;
@@ -114,10 +115,9 @@ impl Evidence {
         let tags: HashMap<i64, Isometry> = self.valid_tags().collect();
         let moved = frames.iter().zip(&smoothed.map_from_optical).filter_map(|(frame, pose)| {
             let off = pose.translation - tags.get(&frame.stamp_ns)?.translation;
-            Some(off.truncate().length_squared())
+            Some(100.0 * off.truncate().length())
         });
-        let (sum, count) = moved.fold((0.0, 0usize), |(sum, count), square| (sum + square, count + 1));
-        100.0 * (sum / count.max(1) as f64).sqrt()
+        rms(moved)
     }
 }
 

@@ -11,6 +11,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::paths::{check_output, write};
+use super::settings::UsageError;
 use super::{Outcome, output};
 use crate::config::load_field;
 use crate::evaluation::accuracy::{Crossing, Measure, Refused, ResidualMaps, SplitHalf, Taped, Turned, Use, crossings};
@@ -77,8 +78,8 @@ pub fn run(arguments: &AccuracyArguments, json: bool) -> anyhow::Result<Outcome>
             let evidence = Evidence::read(capture)?;
             report(&evidence, arguments, json)
         }
-        // The parser takes neither for a wrong call.
-        (None, None) => Ok(Outcome::NotReached),
+        // The parser of the command line asks for one or the other.
+        (None, None) => Err(UsageError("name a capture, or give --crossings FIELD".to_owned()).into()),
     }
 }
 

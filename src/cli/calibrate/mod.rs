@@ -14,6 +14,7 @@ use clap::Args;
 use super::paths::{check_output, make_folder, temporary};
 use super::settings::{SettingsArguments, UsageError, planar_pose};
 use super::{Outcome, output};
+use crate::cli::host_info::cores;
 use crate::config::Settings;
 use crate::geometry::Pose2;
 use crate::log_input::InputSource;
@@ -85,7 +86,7 @@ pub fn run(arguments: &CalibrateArguments, json: bool) -> anyhow::Result<Outcome
         captures: temporary.path().to_owned(),
         settings,
         initial: *initial,
-        threads: std::thread::available_parallelism().map_or(1, usize::from),
+        threads: cores(),
         realtime: false,
         warm_start: false,
     };

@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use crate::cli::calibrate::mount_text;
+use crate::cli::host_info::cores;
 use crate::cli::output;
 use crate::cli::paths::temporary;
 use crate::cli::settings::{SettingsArguments, UsageError};
@@ -13,7 +14,7 @@ use crate::geometry::Euler;
 use crate::localization::smoothing::Constants;
 use crate::recording::{Loss, SessionInfo};
 use crate::tagging::ReplayOptions;
-use crate::tagging::calibration_check::{CalibrationCheck, CheckedConstant, Drift, check_calibration};
+use crate::tagging::calibration_check::{CalibrationCheck, CameraPart, CheckedConstant, Drift, check_calibration};
 
 /// Result of `realitysim doctor --calibration`.
 #[derive(Serialize)]
@@ -64,8 +65,7 @@ pub(super) fn check(
         Some(then) => format!("since {}", date(&then.info.started)),
         None => "since the calibration".to_owned(),
     };
-    let change = constants.iter().fold([0.0; 2], turned);
-    let findings = findings(&now, &constants, change, &since);
+    let findings = findings(&now, &constants, &since);
     let still_valid = findings.iter().all(|finding| finding.good);
     Ok(CalibrationReport {
         recording: recording.display().to_string(),
@@ -76,7 +76,7 @@ pub(super) fn check(
         since,
         findings,
         constants: constants.iter().map(Constant::of).collect(),
-        losses: now.losses,
+        losses: now.losses.into_iter().chain(then.map(|then| then.losses).unwrap_or_default()).collect(),
     })
 }
 
@@ -87,7 +87,7 @@ fn check_one(recording: &Path, settings: &SettingsArguments) -> anyhow::Result<C
         captures: temporary.path().to_owned(),
         settings: settings.resolve_for(recording)?,
         initial: None,
-        threads: std::thread::available_parallelism().map_or(1, usize::from),
+        threads: cores(),
         realtime: false,
         warm_start: false,
     };
@@ -120,75 +120,71 @@ impl Constant {
     }
 }
 
-/// Adds a constant to the tilt about the camera's x and z axes if it is one of these.
-fn turned([x, z]: [f64; 2], constant: &CheckedConstant) -> [f64; 2] {
-    match constant.name().0 {
-        "tilt about the camera's x" => [x + constant.deviation, z],
-        "tilt about the camera's z" => [x, z + constant.deviation],
-        _ => [x, z],
-    }
-}
-
 /// One finding each for tilt, height, lens and clock.
-fn findings(now: &CalibrationCheck, constants: &[CheckedConstant], [x, z]: [f64; 2], since: &str) -> Vec<Finding> {
-    let of = |part: &str| constants.iter().filter(|constant| constant.name().0.starts_with(part)).collect::<Vec<_>>();
-    let (tilt, height, clock) = (of("tilt"), of("height"), of("delay"));
-    let lens = [of("focal"), of("centre")].concat();
+fn findings(now: &CalibrationCheck, constants: &[CheckedConstant], since: &str) -> Vec<Finding> {
+    let [tilt, height, lens, clock] =
+        [CameraPart::Tilt, CameraPart::Height, CameraPart::Lens, CameraPart::Clock].map(|part| of(constants, part));
     let tilt_said =
-        format!("{} (to {:.2} degrees)", direction(x, z), STATED_SIGMAS * largest_sigma(&tilt).to_degrees());
-    let height_said =
-        format!("{:+.1} cm (to {:.1} cm)", 100.0 * sum(&height), 100.0 * STATED_SIGMAS * largest_sigma(&height));
-    let clock_said = format!("{:+.1} ms (to {:.1} ms)", 1e3 * sum(&clock), 1e3 * STATED_SIGMAS * largest_sigma(&clock));
+        format!("{} (to {:.2} degrees)", direction(&tilt), STATED_SIGMAS * largest_sigma(&tilt).to_degrees());
+    let said = |parts: &[CheckedConstant], times: f64, unit: &str| {
+        let each = parts.iter().map(|part| {
+            format!("{:+.1} {unit} (to {:.1} {unit})", times * part.deviation, times * STATED_SIGMAS * part.sigma)
+        });
+        each.collect::<Vec<_>>().join(", ")
+    };
     // Once is enough, though tilt and height both call for it.
     let mut mend = Some(format!("the corrected mount:\n{}", indented(&mount_text(&now.info, &now.corrections))));
     let delay_ms = now.info.settings.capture.delay_ms + 1e3 * now.corrections.delay_s;
     let mend_lens = "`realitysim calibrate --walk` or `--board` finds the lens anew".to_owned();
-    let mut mount = |what: &str, parts: &[&CheckedConstant], said: String| {
+    let mut mount = |what: &str, parts: &[CheckedConstant], said: String| {
         let remedy = if has(parts, Drift::Changed) { mend.take().unwrap_or_default() } else { LOOK_AROUND.to_owned() };
         finding(what, !has(parts, Drift::Changed) && !has(parts, Drift::Unknown), format!("{said} {since}"), remedy)
     };
     vec![
         mount("tilt of the camera", &tilt, tilt_said),
-        mount("height of the camera", &height, height_said),
+        mount("height of the camera", &height, said(&height, 100.0, "cm")),
         // A lens and a clock that are not seen better than this have no reason to be doubted: nothing hits them as it does a mount.
         finding("lens", !has(&lens, Drift::Changed), lens_said(&lens), mend_lens),
         finding(
             "clock of the camera",
             !has(&clock, Drift::Changed),
-            clock_said,
+            said(&clock, 1e3, "ms"),
             format!("capture.delay_ms = {delay_ms:.1}"),
         ),
     ]
+}
+
+/// The constants of a part.
+fn of(constants: &[CheckedConstant], part: CameraPart) -> Vec<CheckedConstant> {
+    constants.iter().filter(|constant| constant.part == part).copied().collect()
 }
 
 fn finding(what: &str, good: bool, said: String, remedy: String) -> Finding {
     Finding { what: what.to_owned(), good, said, remedy: if good { String::new() } else { remedy } }
 }
 
-fn has(constants: &[&CheckedConstant], drift: Drift) -> bool {
+fn has(constants: &[CheckedConstant], drift: Drift) -> bool {
     constants.iter().any(|constant| constant.drift() == drift)
 }
 
-fn sum(constants: &[&CheckedConstant]) -> f64 {
-    constants.iter().map(|constant| constant.deviation).sum()
-}
-
-fn largest_sigma(constants: &[&CheckedConstant]) -> f64 {
+fn largest_sigma(constants: &[CheckedConstant]) -> f64 {
     constants.iter().map(|constant| constant.sigma).fold(0.0, f64::max)
 }
 
-fn lens_said(constants: &[&CheckedConstant]) -> String {
+fn lens_said(constants: &[CheckedConstant]) -> String {
     let each = constants.iter().map(|constant| {
-        let (times, unit) = if constant.name().1 == "share" { (100.0, "%") } else { (1.0, "px") };
+        let (name, unit) = constant.name();
+        let (times, unit) = if unit == "share" { (100.0, "%") } else { (1.0, unit) };
         let (value, to) = (times * constant.deviation, times * STATED_SIGMAS * constant.sigma);
-        format!("{} {value:+.2} {unit} (to {to:.2})", constant.name().0)
+        format!("{name} {value:+.2} {unit} (to {to:.2})")
     });
     each.collect::<Vec<_>>().join(", ")
 }
 
-/// The change of where the camera looks, in words: `camera_link` against what was believed.
-fn direction(x: f64, z: f64) -> String {
-    let turn = Constants { tilt_x: x, tilt_z: z, ..Constants::default() }.corrected_link(glam::DQuat::IDENTITY);
+/// The change of where the camera looks, in words: `camera_link` against what was believed. The tilts are about the camera's x and z axes.
+fn direction(tilt: &[CheckedConstant]) -> String {
+    let [tilt_x, tilt_z] = [0, 1].map(|axis| tilt.get(axis).map_or(0.0, |tilt| tilt.deviation));
+    let turn = Constants { tilt_x, tilt_z, ..Constants::default() }.corrected_link(glam::DQuat::IDENTITY);
     let Euler { pitch, roll, .. } = Euler::from_rotation(turn);
     let side = |value: f64, positive: &str, negative: &str| {
         format!("{:.2} degrees {}", value.to_degrees().abs(), if value < 0.0 { negative } else { positive })
@@ -197,32 +193,32 @@ fn direction(x: f64, z: f64) -> String {
 }
 
 fn verdict(constants: &[CheckedConstant], still_valid: bool, since: &str) -> String {
-    let all: Vec<&CheckedConstant> = constants.iter().collect();
-    let of =
-        |part: &str| all.iter().copied().filter(|constant| constant.name().0.starts_with(part)).collect::<Vec<_>>();
-    let tilt = of("tilt");
     if still_valid {
         return "the calibration is still valid".to_owned();
     }
-    let mut changes = Vec::new();
-    if has(&tilt, Drift::Changed) {
-        let angle = tilt.iter().map(|constant| constant.deviation.powi(2)).sum::<f64>().sqrt();
-        changes.push(format!("the mount has turned by {:.1} degrees {since}", angle.to_degrees()));
-    }
-    for (part, what) in [
-        ("height", "the camera's height"),
-        ("focal", "the lens"),
-        ("centre", "the lens's centre"),
-        ("delay", "the camera's delay"),
-    ] {
-        if has(&of(part), Drift::Changed) {
-            changes.push(format!("{what} has changed {since}"));
-        }
-    }
+    let parts = [CameraPart::Tilt, CameraPart::Height, CameraPart::Lens, CameraPart::Clock];
+    let changes = parts.into_iter().filter_map(|part| change(part, &of(constants, part)));
+    let changes = changes.map(|change| format!("{change} {since}")).collect::<Vec<_>>();
     match changes.is_empty() {
         true => "not enough was seen to tell whether the mount has moved".to_owned(),
         false => changes.join("; "),
     }
+}
+
+/// What has changed, if the part has.
+fn change(part: CameraPart, constants: &[CheckedConstant]) -> Option<String> {
+    if !has(constants, Drift::Changed) {
+        return None;
+    }
+    Some(match part {
+        CameraPart::Tilt => {
+            let angle = constants.iter().map(|constant| constant.deviation.powi(2)).sum::<f64>().sqrt();
+            format!("the mount has turned by {:.1} degrees", angle.to_degrees())
+        }
+        CameraPart::Height => "the camera's height has changed".to_owned(),
+        CameraPart::Lens => "the lens has changed".to_owned(),
+        CameraPart::Clock => "the camera's delay has changed".to_owned(),
+    })
 }
 
 /// The day of a time in RFC 3339, for people.

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
+use crate::cli::host_info::cores;
 use crate::cli::settings::{SettingsArguments, UsageError};
 use crate::cli::values::{any_number, whole};
 use crate::cli::{Outcome, output, paths};
@@ -67,7 +68,7 @@ pub fn run(arguments: &CutArguments, json: bool) -> anyhow::Result<Outcome> {
         from_s: *from,
         to_s: *to,
         jpeg_quality: arguments.jpeg_quality,
-        threads: std::thread::available_parallelism().map_or(1, usize::from),
+        threads: cores(),
     };
     let mut progress = output::Progress::new("tracking");
     let report = cut::cut(&options, &mut |done, total| progress.set(done, total))?;

@@ -9,11 +9,13 @@ use serde::Serialize;
 
 use crate::cli::accuracy::{Evidence, Report};
 use crate::cli::doc_section::Section;
+use crate::cli::host_info::cores;
 use crate::cli::paths::{cannot_read, temporary};
 use crate::cli::settings::UsageError;
 use crate::cli::{Outcome, output};
 use crate::config::{Settings, plain_file};
 use crate::evaluation::accuracy::validation::{FAULTS, Fault, TrueError, correlation, range};
+use crate::evaluation::accuracy::verdict::Verdict;
 use crate::evaluation::accuracy::{Crossing, crossings};
 use crate::evaluation::statistics::quantile;
 use crate::evaluation::truth;
@@ -152,7 +154,7 @@ fn one(path: &Path, fault: &Fault) -> anyhow::Result<Run> {
         captures: folder.path().join("captures"),
         settings: Settings::default(),
         initial: None,
-        threads: std::thread::available_parallelism().map_or(1, |count| count.get()),
+        threads: cores(),
         realtime: false,
         warm_start: false,
     };
@@ -272,9 +274,9 @@ impl Run {
             .iter()
             .map(|compared| (compared.pair)(self).map_or("-".to_owned(), |(measured, _)| format!("{measured:.2}")));
         let verdicts = report.verdicts.iter().map(|verdict| match verdict.verdict {
-            crate::evaluation::accuracy::verdict::Verdict::Yes => "yes",
-            crate::evaluation::accuracy::verdict::Verdict::No => "no",
-            crate::evaluation::accuracy::verdict::Verdict::NotShown => "-",
+            Verdict::Yes => "yes",
+            Verdict::No => "no",
+            Verdict::NotShown => "-",
         });
         format!(
             "| `{scene}` | {fault} | {:.2} | {:.2} | {:.2} | {} | {} |\n",

@@ -9,6 +9,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::cli::doc_section::Section;
+use crate::cli::host_info::cores;
 use crate::cli::settings::{SettingsArguments, UsageError};
 use crate::cli::values::{above_zero, whole};
 use crate::cli::{Outcome, output};
@@ -71,7 +72,7 @@ pub fn run(arguments: &FalsifyArguments, json: bool) -> anyhow::Result<Outcome> 
     let section = arguments.write_docs.as_deref().map(|path| Section::open(path, "measure falsify")).transpose()?;
     let threads = match arguments.threads {
         Some(threads) => threads as usize,
-        None => thread::available_parallelism().map_or(1, |count| count.get()),
+        None => cores(),
     };
     let mut sources = Vec::new();
     for source in &arguments.sources {

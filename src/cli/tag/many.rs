@@ -18,6 +18,7 @@ use super::super::photo::{self, PhotoArguments};
 use super::super::settings::UsageError;
 use super::super::{Outcome, output};
 use super::{LINE_COLOUR, Report, TagArguments, Tagged, tag};
+use crate::cli::host_info::cores;
 use crate::config::{camera_calibration_yaml, plain_file};
 use crate::database::{POSES_HEAD, SIGMAS_HEAD};
 use crate::evaluation::drawing;
@@ -26,7 +27,7 @@ use crate::log_input::decode;
 use crate::log_input::tables::pictures::{KnownPicture, read_known};
 use crate::log_input::tables::{MAX_TABLE_BYTES, Table};
 use crate::recording::Loss;
-use crate::tagging::single_image::{FitQuality, PoseHypothesis};
+use crate::tagging::image_location::{FitQuality, PoseHypothesis};
 
 /// Most images on a page.
 const MAX_SHEET_IMAGES: usize = 200;
@@ -193,7 +194,7 @@ fn tag_all(
     known: &HashMap<String, KnownPicture>,
     done: &mut dyn FnMut(usize, anyhow::Result<Tagged>) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    let threads = thread::available_parallelism().map_or(1, usize::from).min(images.len().max(1));
+    let threads = cores().min(images.len().max(1));
     let next = AtomicUsize::new(0);
     let (sender, results) = mpsc::sync_channel(threads);
     thread::scope(|scope| {

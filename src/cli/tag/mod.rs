@@ -16,7 +16,7 @@ use super::{Outcome, output};
 use crate::config::{field_names, load_field_of_size};
 use crate::evaluation::drawing;
 use crate::geometry::{Field, Lens, Pose2};
-use crate::tagging::single_image::{FitQuality, ImageLocation, PoseHypothesis};
+use crate::tagging::image_location::{FitQuality, ImageLocation, PoseHypothesis};
 use crate::vision::Picture;
 
 /// Find the pose of single images

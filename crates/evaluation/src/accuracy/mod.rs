@@ -19,7 +19,7 @@ pub mod verdict;
 
 use serde::Serialize;
 
-use realitysim_geometry::{Isometry, Pose2, wrap_angle};
+use realitysim_geometry::{Isometry, Pose2};
 
 pub use crossings::{Crossing, crossings};
 pub use residual_maps::{ResidualMaps, residual_maps};
@@ -63,17 +63,7 @@ impl<T> Measure<T> {
 /// heading of the camera on the robot are used: an error of the camera's tilt moves this point by the sine of the tilt times the lever
 /// arm, not times the camera's height.
 pub fn footprint(map_from_link: &Isometry, footprint_from_link: &Isometry) -> Pose2 {
-    let yaw = wrap_angle(map_from_link.euler().yaw - footprint_from_link.euler().yaw);
-    let arm = footprint_from_link.translation;
-    let camera = map_from_link.translation;
-    let turned = Pose2::new(0.0, 0.0, yaw).compose(&Pose2::new(arm.x, arm.y, 0.0));
-    Pose2::new(camera.x - turned.x, camera.y - turned.y, yaw)
-}
-
-/// Root mean square; 0 of nothing.
-fn rms(values: impl IntoIterator<Item = f64>) -> f64 {
-    let (sum, count) = values.into_iter().fold((0.0, 0usize), |(sum, count), value| (sum + value * value, count + 1));
-    libm::sqrt(sum / count.max(1) as f64)
+    Pose2::from_isometry(map_from_link).compose(&Pose2::from_isometry(footprint_from_link).inverse())
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@
 use glam::DVec2;
 use serde::Serialize;
 
-use super::rms;
 use crate::drawing::{Cell, FieldSvg, cell_map};
+use crate::statistics::rms;
 use realitysim_geometry::{Field, LensError, LensParameters};
 use realitysim_localization::smoothing::projection::{CellBias, ImageGrid};
 use realitysim_localization::smoothing::{Frame, GroundResidual, Model, PlaceResidual, Smoothed, place_residuals};

@@ -5,7 +5,8 @@
 
 use serde::Serialize;
 
-use super::{Measure, rms};
+use super::Measure;
+use crate::statistics::rms;
 use glam::DVec3;
 use nalgebra::{Matrix2, Matrix6, Vector2};
 use realitysim_geometry::{LensError, LensParameters};

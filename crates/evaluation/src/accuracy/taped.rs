@@ -8,9 +8,9 @@ use glam::DVec2;
 use nalgebra::{DMatrix, DVector, Matrix4, Vector4};
 use serde::Serialize;
 
+use super::Measure;
 use super::stands::{Stand, mean};
-use super::{Measure, rms};
-use crate::statistics::Summary;
+use crate::statistics::{Summary, rms};
 use realitysim_geometry::wrap_angle;
 
 /// The errors at all taped places.
@@ -136,18 +136,12 @@ fn error_of(stand: &Stand) -> StandError {
         at_m: stand.at_m,
         heading_deg: stand.heading_rad.to_degrees(),
         off_m,
-        forward_left_cm: towards(-stand.heading_rad).rotate(off_m) * 100.0,
+        forward_left_cm: DVec2::from_angle(-stand.heading_rad).rotate(off_m) * 100.0,
         turned_deg: wrap_angle(at.yaw - stand.heading_rad).to_degrees(),
         scatter_cm: 100.0 * rms(scatter),
         tags: stand.tagged.len(),
         held_out_cm: None,
     }
-}
-
-/// Unit vector of a heading; it rotates others by that heading.
-pub(super) fn towards(heading_rad: f64) -> DVec2 {
-    let (sin, cos) = libm::sincos(heading_rad);
-    DVec2::new(cos, sin)
 }
 
 fn names(errors: &[StandError]) -> Vec<String> {
@@ -162,7 +156,7 @@ fn fit(errors: &[&StandError]) -> Option<Offset> {
     let rows = errors.len();
     let (mut design, mut off) = (DMatrix::zeros(2 * rows, 4), DVector::zeros(2 * rows));
     for (row, error) in errors.iter().enumerate() {
-        let DVec2 { x: cos, y: sin } = towards(error.heading_deg.to_radians());
+        let DVec2 { x: cos, y: sin } = DVec2::from_angle(error.heading_deg.to_radians());
         design.view_mut((2 * row, 0), (2, 4)).copy_from_slice(&[cos, sin, -sin, cos, 1.0, 0.0, 0.0, 1.0]);
         (off[2 * row], off[2 * row + 1]) = (error.off_m.x, error.off_m.y);
     }

@@ -5,7 +5,7 @@ use super::validation::{TrueError, correlation};
 use super::verdict::Verdict;
 use super::*;
 use realitysim_config::load_field;
-use realitysim_geometry::{Euler, Field};
+use realitysim_geometry::{Euler, Field, wrap_angle};
 
 fn field() -> Field {
     Field::new(load_field("kid-2020").expect("shipped")).expect("checked")
@@ -15,7 +15,7 @@ fn field() -> Field {
 fn stood(offset: DVec2, shift: DVec2, yaw_rad: f64) -> Vec<Stand> {
     let all = crossings(&field());
     let on = |crossing: &Crossing, heading_rad: f64| {
-        let at = crossing.at_m + shift + taped::towards(heading_rad).rotate(offset);
+        let at = crossing.at_m + shift + DVec2::from_angle(heading_rad).rotate(offset);
         let tagged = vec![Pose2::new(at.x, at.y, heading_rad + yaw_rad); 5];
         Stand { crossing: crossing.name.clone(), at_m: crossing.at_m, heading_rad, tagged }
     };

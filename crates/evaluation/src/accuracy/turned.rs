@@ -6,8 +6,9 @@
 use glam::DVec2;
 use serde::Serialize;
 
-use super::taped::{StandError, Taped, towards};
-use super::{Measure, rms};
+use super::Measure;
+use super::taped::{StandError, Taped};
+use crate::statistics::rms;
 use realitysim_geometry::wrap_angle;
 
 /// What turns with the robot, from pairs of stands on one crossing with opposite headings.
@@ -46,5 +47,5 @@ fn half_difference(one: &StandError, other: &StandError) -> Option<DVec2> {
     let [heading, opposite] = [one, other].map(|stand| stand.heading_deg.to_radians());
     let off = wrap_angle(heading - opposite - core::f64::consts::PI).abs();
     let is_pair = one.crossing == other.crossing && off < MAX_OFF_RAD && !one.is_gross() && !other.is_gross();
-    is_pair.then(|| towards(-heading).rotate(one.off_m - other.off_m) * 50.0)
+    is_pair.then(|| DVec2::from_angle(-heading).rotate(one.off_m - other.off_m) * 50.0)
 }

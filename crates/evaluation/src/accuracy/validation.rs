@@ -3,8 +3,7 @@
 use glam::DVec2;
 use serde::Serialize;
 
-use super::rms;
-use super::taped::towards;
+use crate::statistics::rms;
 use realitysim_geometry::Isometry;
 
 /// A fault of the calibration that a walk is tagged with, as keys of the effect `calibration_error`.
@@ -42,7 +41,7 @@ impl TrueError {
             let at = truth.binary_search_by_key(stamp_ns, |(stamp_ns, _)| *stamp_ns).ok()?;
             let pose = truth[at].1;
             let off = (tag.translation - pose.translation).truncate() * 100.0;
-            Some(towards(-pose.euler().yaw).rotate(off))
+            Some(DVec2::from_angle(-pose.euler().yaw).rotate(off))
         };
         let off: Vec<DVec2> = tags.iter().filter_map(off).collect();
         let mean = off.iter().sum::<DVec2>() / off.len().max(1) as f64;
