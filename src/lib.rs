@@ -4,6 +4,8 @@
 //! load test of the recorder ([`soak`]) and the playback to devices ([`playback`]). The libraries are crates of their own under
 //! `crates/`; they are re-exported here under their short names.
 
+#[cfg(feature = "catalogue")]
+pub use realitysim_catalogue as catalogue;
 pub use realitysim_config as config;
 pub use realitysim_database as database;
 pub use realitysim_devices as devices;

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use realitysim::config::ViewsSettings;
-use realitysim::database::{Catalogue, ImageDatabase, TagLimits, ViewQuery, add};
+use realitysim::database::{Contents, ImageDatabase, TagLimits, ViewQuery, add};
 use realitysim::geometry::Isometry;
 use realitysim::views::Method;
 
@@ -25,9 +25,9 @@ pub fn run(rounds: usize, text: &mut String) {
     let poses: Vec<Isometry> = all.iter().step_by(count / PLACES).copied().collect();
     add(&db, &[images], Some(setting::field().dimensions()), TagLimits::default(), &mut |_| ()).expect("a database");
     // Whatever its pictures show.
-    let mut catalogue = Catalogue::read(&db).expect("a database");
-    catalogue.sources.iter_mut().for_each(|source| source.goals = true);
-    catalogue.write(&db).expect("a database");
+    let mut contents = Contents::read(&db).expect("a database");
+    contents.sources.iter_mut().for_each(|source| source.goals = true);
+    contents.write(&db).expect("a database");
     let settings = ViewsSettings::default();
     let open = || ImageDatabase::open(&db, &settings).expect("a database");
     let wanted = |map_from_link: Isometry| ViewQuery {

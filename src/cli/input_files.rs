@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::config::{Settings, field_file, field_seen_from, lens_file, lens_seen_from, plain_file};
-use crate::database::Catalogue;
+use crate::database::Contents;
 use crate::evaluation::suite::Suite;
 use crate::recording::{read_info, session_holding};
 use crate::scene::SceneFile;
@@ -29,8 +29,8 @@ fn named_by(path: &Path) -> Vec<PathBuf> {
     if let Some(session) = session_holding(path) {
         return read_info(&session).map_or_else(|_| Vec::new(), |info| files_named_in(&info.settings));
     }
-    if let Ok(catalogue) = Catalogue::read(path) {
-        return catalogue.sources.into_iter().map(|source| source.path).collect();
+    if let Ok(contents) = Contents::read(path) {
+        return contents.sources.into_iter().map(|source| source.path).collect();
     }
     let Some(text) = small_text(path) else { return Vec::new() };
     if let Ok(suite) = Suite::parse(&text, path) {

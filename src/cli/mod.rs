@@ -5,6 +5,8 @@
 
 mod accuracy;
 mod calibrate;
+#[cfg(feature = "catalogue")]
+mod catalogue;
 mod check;
 mod db;
 mod demo;
@@ -94,6 +96,8 @@ enum Command {
     // Captures at home.
     Sync(Box<sync::SyncArguments>),
     Sessions(sessions::SessionsArguments),
+    #[cfg(feature = "catalogue")]
+    Catalogue(catalogue::CatalogueArguments),
     // Images of any pose.
     Db(db::DbArguments),
     View(view::ViewArguments),
@@ -146,6 +150,8 @@ pub fn run() -> ExitCode {
         Command::Labels(arguments) => labels::run(&arguments, json),
         Command::Sync(arguments) => sync::run(&arguments, json),
         Command::Sessions(arguments) => sessions::run(&arguments, json),
+        #[cfg(feature = "catalogue")]
+        Command::Catalogue(arguments) => catalogue::run(&arguments, json),
         Command::Db(arguments) => db::run(&arguments, json),
         Command::View(arguments) => view::run(&arguments, json),
         Command::Serve(arguments) => serve::run(&arguments, json),

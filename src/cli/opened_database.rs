@@ -6,7 +6,7 @@ use tempfile::TempDir;
 
 use super::output;
 use crate::config::Settings;
-use crate::database::{self, Catalogue, DatabaseError, ImageDatabase, TagLimits};
+use crate::database::{self, Contents, DatabaseError, ImageDatabase, TagLimits};
 use crate::recording::Loss;
 
 /// An open database, and what was lost when it was made.
@@ -23,7 +23,7 @@ impl OpenedDatabase {
     /// Opens the database in a folder, or makes one of a capture, with poses whose place is known to `max_sigma_m` metres.
     pub fn of(input: &Path, max_sigma_m: f64) -> anyhow::Result<Self> {
         let settings = Settings::default().views;
-        match Catalogue::read(input) {
+        match Contents::read(input) {
             // A capture, or a path that `add` says more of.
             Err(DatabaseError::None { .. }) => {}
             Err(DatabaseError::Io { .. }) if !input.is_dir() => {}

@@ -339,7 +339,7 @@ fn report(database: &ImageDatabase, shown: &ViewResult, arguments: &ViewArgument
     let answer = &shown.answer;
     let source = |used: &crate::views::UsedSource| {
         let record = database.index().record(used.id as usize);
-        let source = database.catalogue().sources.get(record.source as usize);
+        let source = database.contents().sources.get(record.source as usize);
         Source {
             file: source.and_then(|source| source.file(record.file)).unwrap_or_default(),
             offset: record.offset,

@@ -6,7 +6,7 @@ use std::path::Path;
 use mavlink::dialects::common::*;
 use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 use realitysim::config::{Settings, field_names, lens_names, load_field, load_lens};
-use realitysim::database::{Catalogue, Record, Source, SourceKind, TagLimits, write_index};
+use realitysim::database::{Contents, Record, Source, SourceKind, TagLimits, write_index};
 use realitysim::geometry::{Euler, Field, Isometry, Pose2};
 use realitysim::log_input::decode;
 use realitysim::log_input::foxglove::FoxgloveType;
@@ -307,9 +307,9 @@ fn descriptions() {
     };
     let line = serde_json::to_string(&line).unwrap();
     keep("capture", "sound-manifest", format!("{line}\n{line}\n"));
-    let mut catalogue = Catalogue::new(field);
-    catalogue.index = 1;
-    catalogue.sources.push(Source {
+    let mut contents = Contents::new(field);
+    contents.index = 1;
+    contents.sources.push(Source {
         kind: SourceKind::Folder,
         path: "nowhere".into(),
         lens,
@@ -324,5 +324,5 @@ fn descriptions() {
         limits: TagLimits::default(),
         goals: true,
     });
-    keep("capture", "sound-database", serde_json::to_vec(&catalogue).unwrap());
+    keep("capture", "sound-database", serde_json::to_vec(&contents).unwrap());
 }

@@ -4,7 +4,7 @@ use std::fs;
 
 use glam::DVec3;
 use realitysim::config::load_field;
-use realitysim::database::{Catalogue, ImageDatabase, ViewQuery};
+use realitysim::database::{Contents, ImageDatabase, ViewQuery};
 use realitysim::evaluation::views::TruthRenderer;
 use realitysim::geometry::{Euler, Field, Isometry, Lens, LensModel, LensParameters};
 use realitysim::views::{Camera, Method, SURE, Vignetting, similarity};
@@ -59,8 +59,8 @@ fn a_lens_that_darkens_is_measured_and_its_views_are_the_better_for_it() {
     }
     room.write("images/poses.csv", table);
     room.run("db add images --db db --field kid-2009").succeeds();
-    let catalogue = Catalogue::read(&room.path("db")).expect("written");
-    let found = Vignetting { k: catalogue.sources[0].darkening.expect("it shows") };
+    let contents = Contents::read(&room.path("db")).expect("written");
+    let found = Vignetting { k: contents.sources[0].darkening.expect("it shows") };
     for (u, v) in [(160.0, 120.0), (230.0, 160.0), (60.0, 200.0), (300.0, 200.0)] {
         let [found, wanted] = [found, dark].map(|vignetting| vignetting.at(&lens, u, v));
         assert!((found - wanted).abs() < 0.03, "at {u}, {v}: {found} for {wanted}");
@@ -79,9 +79,9 @@ fn a_lens_that_darkens_is_measured_and_its_views_are_the_better_for_it() {
         similarity(&truth, &shown.pixels, 320, &ground, &both).psnr_db
     };
     let with = psnr(&open(&room), None);
-    let ignored = Catalogue { sources: vec![], ..catalogue.clone() };
-    let source = realitysim::database::Source { darkening: None, ..catalogue.sources[0].clone() };
-    Catalogue { sources: vec![source], ..ignored }.write(&room.path("db")).expect("written");
+    let ignored = Contents { sources: vec![], ..contents.clone() };
+    let source = realitysim::database::Source { darkening: None, ..contents.sources[0].clone() };
+    Contents { sources: vec![source], ..ignored }.write(&room.path("db")).expect("written");
     let without = psnr(&open(&room), None);
     println!("darkening taken out {with:.2} dB, not {without:.2} dB");
     assert!(with > without + 1.0, "{with} against {without}");
@@ -91,12 +91,12 @@ fn a_lens_that_darkens_is_measured_and_its_views_are_the_better_for_it() {
 #[test]
 fn a_rendered_capture_whose_lens_darkens_nothing_is_left_as_it_is() {
     let (room, _) = walked();
-    assert_eq!(open(&room).catalogue().sources[0].darkening, None);
-    // A catalogue of before, which does not speak of it.
+    assert_eq!(open(&room).contents().sources[0].darkening, None);
+    // Contents of before, which do not speak of it.
     let path = room.path("db/database.json");
     let text = fs::read_to_string(&path).expect("written");
     let older = text.replace("\"darkening\": null,", "");
     assert!(older.len() < text.len());
     fs::write(&path, older).expect("written");
-    assert_eq!(open(&room).catalogue().sources[0].darkening, None);
+    assert_eq!(open(&room).contents().sources[0].darkening, None);
 }

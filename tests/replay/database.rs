@@ -231,7 +231,7 @@ fn what_changed_or_vanished_after_indexing_is_told_and_the_rest_is_used() {
     let (room, _) = walked();
     let database = open(&room);
     let record = database.index().record(3);
-    let file = database.catalogue().sources[0].file(record.file).expect("its file");
+    let file = database.contents().sources[0].file(record.file).expect("its file");
     let mut bytes = fs::read(&file).expect("a segment");
     bytes[record.offset as usize + 500] ^= 1;
     fs::write(&file, &bytes).expect("written");
@@ -253,7 +253,7 @@ fn what_changed_or_vanished_after_indexing_is_told_and_the_rest_is_used() {
 fn a_capture_that_is_away_leaves_the_others_their_views_and_comes_back() {
     let (room, _) = walked();
     let database = open(&room);
-    let (first, count) = (database.catalogue().sources[0].path.clone(), database.index().len());
+    let (first, count) = (database.contents().sources[0].path.clone(), database.index().len());
     let second = room.replay("log.mcap").session;
     room.run(&format!("db add {} --db db", second.display())).succeeds();
     let place = database.index().record(count / 2).pose().translation;
@@ -291,7 +291,7 @@ fn a_capture_that_is_away_leaves_the_others_their_views_and_comes_back() {
 fn a_folder_of_captures_stands_for_those_that_are_not_known() {
     let (room, _) = walked();
     let count = open(&room).index().len();
-    let first = open(&room).catalogue().sources[0].path.clone();
+    let first = open(&room).contents().sources[0].path.clone();
     let second = room.replay("log.mcap").session;
     let folder = second.parent().expect("captures").to_owned();
     // What `captures/*` is to a shell: beside captures stands what their recorder keeps.
@@ -327,7 +327,7 @@ fn images_of_a_walk_are_chosen_such_that_they_complete_each_other() {
 fn a_view_by_the_lens_of_its_images_ends_where_they_do() {
     let (room, _) = walked();
     let database = open(&room);
-    let lens = &database.catalogue().sources[0].lens;
+    let lens = &database.contents().sources[0].lens;
     let fov_deg = lens.fov_deg.expect("found");
     assert!((195.0..=201.0).contains(&fov_deg), "{fov_deg}");
     let looks = "--x -1.53 --y 0.2 --z 0.496 --yaw 120 --pitch 17";
@@ -390,7 +390,7 @@ fn goals_stand_where_images_show_them() {
     let session = replayed.session.display().to_string();
     room.run(&format!("db add {session} --db db")).succeeds();
     let database = open(&room);
-    assert!(!database.catalogue().sources[0].goals, "none was drawn");
+    assert!(!database.contents().sources[0].goals, "none was drawn");
     let world = World::new(database.field());
     fs::create_dir(room.path("painted")).expect("a folder");
     room.write("painted/camera_info.yaml", CAMERA_INFO);
@@ -414,7 +414,7 @@ fn goals_stand_where_images_show_them() {
     room.write("painted/poses.csv", poses);
     room.run("db add painted --db other --field kid-2009").succeeds();
     let other = ImageDatabase::open(&room.path("other"), &Settings::default().views).expect("a database");
-    assert!(other.catalogue().sources[0].goals);
+    assert!(other.contents().sources[0].goals);
     assert!(!room.run("db stats --db other").stdout.contains("without goals"));
     assert!(room.run("db stats --db db").stdout.contains("without goals"));
 }
@@ -526,7 +526,7 @@ fn an_open_database_is_usable_while_it_is_changed() {
     let before = open(&room);
     let count = before.index().len();
     assert!(before.reopened().expect("readable").is_none());
-    let source = before.catalogue().sources[0].path.display().to_string();
+    let source = before.contents().sources[0].path.display().to_string();
     let run = room.run(&format!("db add {source} --db db"));
     assert!(run.code == Some(1) && run.stderr.contains("there already"), "{run:?}");
     room.run(&format!("db remove {source} --db db")).succeeds();

@@ -6,6 +6,8 @@ mod broken;
 mod budget;
 mod calibrate;
 mod capture;
+#[cfg(feature = "catalogue")]
+mod catalogue;
 mod chains;
 mod channels;
 mod check;

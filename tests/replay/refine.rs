@@ -41,7 +41,7 @@ fn refined_tags_are_nearer_to_the_truth_and_nothing_recorded_is_touched() {
     let info = fs::read(replayed.session.join("refined/refined.json")).expect("written");
     let info: serde_json::Value = serde_json::from_slice(&info).expect("JSON");
     let refined: LensParameters = serde_json::from_value(info["lens"].clone()).expect("a lens");
-    assert!(database.catalogue().sources[0].lens.maps_as(&refined));
+    assert!(database.contents().sources[0].lens.maps_as(&refined));
 }
 
 #[test]

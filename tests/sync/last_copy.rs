@@ -4,7 +4,7 @@
 use std::fs;
 use std::process::Command;
 
-use realitysim::recording::catalogue::sessions_in;
+use realitysim::recording::sessions::sessions_in;
 use realitysim::recording::sync::{Goal, Removal};
 
 use super::site::{Site, Synced, contents, finish_segment, noise};

@@ -1,6 +1,6 @@
 //! Creates and changes databases.
 //!
-//! A change writes a new index beside the old one, and then the catalogue that names it. A concurrent reader therefore has
+//! A change writes a new index beside the old one, and then the `database.json` that names it. A concurrent reader therefore has
 //! either all of the old content or all of the new.
 
 use std::fs;
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::catalogue::{Catalogue, Source, SourceKind, TagLimits};
+use super::contents::{Contents, Source, SourceKind, TagLimits};
 use super::error::{DatabaseError, io};
 use super::image_circle::circle_deg;
 use super::image_database::without_rim;
@@ -57,50 +57,50 @@ pub fn add(
 ) -> Result<Added, DatabaseError> {
     fs::create_dir_all(folder).map_err(io(folder))?;
     let _lock = lock(folder)?;
-    let known = match Catalogue::read(folder) {
-        Ok(catalogue) => Some(catalogue),
+    let known = match Contents::read(folder) {
+        Ok(contents) => Some(contents),
         Err(DatabaseError::None { .. }) => None,
         Err(error) => return Err(error),
     };
     let mut records = match &known {
-        Some(catalogue) => Index::open(&path_of(folder, catalogue.index))?.records().collect(),
+        Some(contents) => Index::open(&path_of(folder, contents.index))?.records().collect(),
         None => Vec::new(),
     };
-    let mut catalogue = known;
+    let mut contents = known;
     let mut added = Added::default();
-    for path in sources_of(paths, catalogue.as_ref())? {
+    for path in sources_of(paths, contents.as_ref())? {
         let read = sources::read(&path, limits, progress)?;
-        add_source(folder, &mut catalogue, &mut records, read, field, &mut added, progress)?;
+        add_source(folder, &mut contents, &mut records, read, field, &mut added, progress)?;
     }
     if added.images == 0 {
         return Err(DatabaseError::Nothing([added.losses, added.empty].concat()));
     }
-    if let Some(catalogue) = catalogue {
-        publish(folder, catalogue, records)?;
+    if let Some(contents) = contents {
+        publish(folder, contents, records)?;
     }
     Ok(added)
 }
 
-/// Reads every source again, as if the database were created anew. A source that cannot be read stays in the catalogue,
+/// Reads every source again, as if the database were created anew. A source that cannot be read stays listed,
 /// without images.
 pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError> {
     require_database(folder)?;
     let _lock = lock(folder)?;
-    let old = Catalogue::read(folder)?;
-    let mut catalogue = Some(Catalogue { sources: Vec::new(), ..old.clone() });
+    let old = Contents::read(folder)?;
+    let mut contents = Some(Contents { sources: Vec::new(), ..old.clone() });
     let (mut records, mut added) = (Vec::new(), Added::default());
     for source in &old.sources {
         match sources::read(&source.path, source.limits, progress) {
-            Ok(read) => add_source(folder, &mut catalogue, &mut records, read, Some(&old.field), &mut added, progress)?,
+            Ok(read) => add_source(folder, &mut contents, &mut records, read, Some(&old.field), &mut added, progress)?,
             Err(error) => {
                 added.losses.push(Loss::new(&source.path, error.to_string()));
                 // The source may be unreachable for now: a later rebuild looks for it again.
                 let empty = Source { images: 0, left_out: 0, ..source.clone() };
-                catalogue.get_or_insert_with(|| Catalogue::new(old.field.clone())).sources.push(empty);
+                contents.get_or_insert_with(|| Contents::new(old.field.clone())).sources.push(empty);
             }
         }
     }
-    publish(folder, catalogue.unwrap_or(old), records)?;
+    publish(folder, contents.unwrap_or(old), records)?;
     Ok(added)
 }
 
@@ -108,14 +108,14 @@ pub fn rebuild(folder: &Path, progress: Progress) -> Result<Added, DatabaseError
 pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
     require_database(folder)?;
     let _lock = lock(folder)?;
-    let mut catalogue = Catalogue::read(folder)?;
+    let mut contents = Contents::read(folder)?;
     let absolute = path.canonicalize().or_else(|_| std::path::absolute(path)).map_err(io(path))?;
     let unknown = || {
-        let known: Vec<String> = catalogue.sources.iter().map(|source| source.path.display().to_string()).collect();
+        let known: Vec<String> = contents.sources.iter().map(|source| source.path.display().to_string()).collect();
         DatabaseError::Unknown { path: path.to_owned(), known: known.join(", ") }
     };
-    let gone = catalogue.position(&absolute).ok_or_else(unknown)?;
-    let index = Index::open(&path_of(folder, catalogue.index))?;
+    let gone = contents.position(&absolute).ok_or_else(unknown)?;
+    let index = Index::open(&path_of(folder, contents.index))?;
     let keep = |mut record: Record| {
         let source = record.source as usize;
         record.source -= u32::from(source > gone);
@@ -123,14 +123,14 @@ pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
     };
     let records: Vec<Record> = index.records().filter_map(keep).collect();
     let removed = (index.len() - records.len()) as u64;
-    catalogue.sources.remove(gone);
-    publish(folder, catalogue, records)?;
+    contents.sources.remove(gone);
+    publish(folder, contents, records)?;
     Ok(removed)
 }
 
 /// Fails if the folder holds no database, so that not even a lock file is put into a wrong folder.
 fn require_database(folder: &Path) -> Result<(), DatabaseError> {
-    Catalogue::read(folder).map(drop)
+    Contents::read(folder).map(drop)
 }
 
 /// Locks a database for a change, because of two concurrent changes one would be lost.
@@ -154,10 +154,10 @@ fn lock(folder: &Path) -> Result<fs::File, DatabaseError> {
 
 const LOCK: &str = "database.lock";
 
-/// Adds a source that was read to catalogue and records: checks its field, measures its lens, and writes its masks.
+/// Adds a source that was read to the contents and the records: checks its field, measures its lens, and writes its masks.
 fn add_source(
     folder: &Path,
-    catalogue: &mut Option<Catalogue>,
+    contents: &mut Option<Contents>,
     records: &mut Vec<Record>,
     read: Read,
     field: Option<&FieldDimensions>,
@@ -173,7 +173,7 @@ fn add_source(
         SourceKind::Capture => own.as_ref().or(field),
         SourceKind::Folder => field.or(own.as_ref()),
     };
-    let catalogue = match (catalogue, wanted) {
+    let contents = match (contents, wanted) {
         (Some(known), Some(wanted)) if !known.sources.is_empty() && !wanted.is_same_as(&known.field) => {
             let (found, known) = (wanted.title.clone(), known.field.title.clone());
             return Err(DatabaseError::OtherField { path: path(), found, known });
@@ -183,13 +183,13 @@ fn add_source(
             known
         }
         (Some(known), _) => known,
-        (none, Some(wanted)) => none.insert(Catalogue::new(checked(wanted, &at)?)),
+        (none, Some(wanted)) => none.insert(Contents::new(checked(wanted, &at)?)),
         (None, None) => {
             let what = "a folder of images does not say on which field it was taken: name it with --field".to_owned();
             return Err(DatabaseError::Source { path: path(), what });
         }
     };
-    let number = catalogue.sources.len() as u32;
+    let number = contents.sources.len() as u32;
     added.images += source.images;
     added.left_out += source.left_out;
     added.ambiguous += ambiguous;
@@ -201,21 +201,21 @@ fn add_source(
         let shows: Vec<bool> = mask.iter().map(|pixel| *pixel > 0).collect();
         let circle_deg = circle_deg(&source.lens, &without_rim(&shows, source.lens.width as usize));
         source.lens.fov_deg =
-            circle_deg.map(|found| fov_with_circle(found, &source.lens, &catalogue.sources)).or(source.lens.fov_deg);
+            circle_deg.map(|found| fov_with_circle(found, &source.lens, &contents.sources)).or(source.lens.fov_deg);
         source.dark = Some(masks::write_dark(folder, &source, mask)?);
     }
     if !bodies.is_empty() {
         let masks = bodies.iter().map(|body| masks::write_body(folder, &source, body));
         source.body_masks = masks.collect::<Result<_, _>>()?;
     }
-    source.darkening = vignetting::measure(folder, &source, &found, &catalogue.field)?;
-    source.hall = hall::measure(folder, &source, &found, &catalogue.field)?;
-    source.moved = moved::measure(folder, &source, &found, &catalogue.field, progress)?;
-    if source.goals && catalogue.field.goal.is_some() {
-        source.goals = goals::are_present(folder, &source, &found, &catalogue.field)?.unwrap_or(true);
+    source.darkening = vignetting::measure(folder, &source, &found, &contents.field)?;
+    source.hall = hall::measure(folder, &source, &found, &contents.field)?;
+    source.moved = moved::measure(folder, &source, &found, &contents.field, progress)?;
+    if source.goals && contents.field.goal.is_some() {
+        source.goals = goals::are_present(folder, &source, &found, &contents.field)?.unwrap_or(true);
     }
     records.extend(found.into_iter().map(|record| Record { source: number, ..record }));
-    catalogue.sources.push(source);
+    contents.sources.push(source);
     Ok(())
 }
 
@@ -237,15 +237,15 @@ fn checked(field: &FieldDimensions, path: &Path) -> Result<FieldDimensions, Data
     Field::new(field.clone()).map(|field| field.dimensions().clone()).map_err(failed)
 }
 
-/// Makes a change visible: writes the new index, then the catalogue that names it, and removes what is no longer used.
-fn publish(folder: &Path, mut catalogue: Catalogue, records: Vec<Record>) -> Result<(), DatabaseError> {
-    let old = path_of(folder, catalogue.index);
-    catalogue.index += 1;
-    write_index(&path_of(folder, catalogue.index), records)?;
-    catalogue.write(folder)?;
+/// Makes a change visible: writes the new index, then the `database.json` that names it, and removes what is no longer used.
+fn publish(folder: &Path, mut contents: Contents, records: Vec<Record>) -> Result<(), DatabaseError> {
+    let old = path_of(folder, contents.index);
+    contents.index += 1;
+    write_index(&path_of(folder, contents.index), records)?;
+    contents.write(folder)?;
     // Readers hold the old index in memory, and a file that stays behind does no harm.
     let _ = fs::remove_file(old);
-    masks::remove_all_but(folder, &catalogue);
+    masks::remove_all_but(folder, &contents);
     Ok(())
 }
 
@@ -272,7 +272,7 @@ pub struct Stats {
 
 /// Computes the statistics of a database from its index.
 pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
-    let (catalogue, index) = Catalogue::with_index(folder)?;
+    let (contents, index) = Contents::with_index(folder)?;
     let mut extent: Option<[[f32; 3]; 2]> = None;
     let (mut metres, mut radians) = (Vec::with_capacity(index.len()), Vec::with_capacity(index.len()));
     for record in index.records() {
@@ -291,8 +291,8 @@ pub fn stats(folder: &Path) -> Result<Stats, DatabaseError> {
     };
     Ok(Stats {
         images: index.len(),
-        field: catalogue.field.title.clone(),
-        sources: catalogue.sources,
+        field: contents.field.title.clone(),
+        sources: contents.sources,
         index_bytes: index.bytes(),
         box_m: extent,
         sigma_m: median(metres),
@@ -314,17 +314,17 @@ pub struct Checked {
 
 /// Reads the bytes of every image and compares their checksum with the index. A damaged index is an error.
 pub fn verify(folder: &Path, progress: Progress) -> Result<Checked, DatabaseError> {
-    let (catalogue, index) = Catalogue::with_index(folder)?;
+    let (contents, index) = Contents::with_index(folder)?;
     let mut checked = Checked { images: index.len(), sound: 0, losses: Vec::new() };
-    for error in catalogue.sources.iter().filter_map(|source| Masks::read(folder, source).err()) {
+    for error in contents.sources.iter().filter_map(|source| Masks::read(folder, source).err()) {
         checked.losses.push(Loss::new(folder, error.to_string()));
     }
-    for (path, what) in catalogue.sources.iter().filter_map(|source| moved::verify(folder, source).err()) {
+    for (path, what) in contents.sources.iter().filter_map(|source| moved::verify(folder, source).err()) {
         checked.losses.push(Loss::new(&path, what));
     }
     let mut wrong: std::collections::BTreeMap<PathBuf, (u64, String)> = Default::default();
     for (number, record) in index.records().enumerate() {
-        match bytes_of(&catalogue, &record) {
+        match bytes_of(&contents, &record) {
             Ok(_) => checked.sound += 1,
             Err((path, what)) => wrong.entry(path).or_insert((0, what)).0 += 1,
         }
@@ -336,10 +336,10 @@ pub fn verify(folder: &Path, progress: Progress) -> Result<Checked, DatabaseErro
 }
 
 /// The bytes of an image, if they are as they were indexed. The error holds the file and what is wrong.
-pub(super) fn bytes_of(catalogue: &Catalogue, record: &Record) -> Result<Vec<u8>, (PathBuf, String)> {
-    let file = catalogue.sources.get(record.source as usize).and_then(|source| source.file(record.file));
+pub(super) fn bytes_of(contents: &Contents, record: &Record) -> Result<Vec<u8>, (PathBuf, String)> {
+    let file = contents.sources.get(record.source as usize).and_then(|source| source.file(record.file));
     let file =
-        file.ok_or_else(|| (PathBuf::from("index"), "names a file that the catalogue does not know".to_owned()))?;
+        file.ok_or_else(|| (PathBuf::from("index"), "names a file that database.json does not know".to_owned()))?;
     let bytes = match read_bytes(&file, record.offset, record.length) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {

@@ -35,12 +35,12 @@ pub enum DatabaseError {
         /// What is wrong with it.
         what: String,
     },
-    /// The catalogue is damaged. It cannot be rebuilt, because only it names the sources.
+    /// `database.json` is damaged. It cannot be rebuilt, because only it names the sources.
     #[error(
         "{}: {what}: move {} away and add its captures again with `realitysim db add`", path.display(), folder.display()
     )]
     Lost {
-        /// The catalogue.
+        /// The contents.
         path: PathBuf,
         /// What is wrong with it.
         what: String,

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use glam::DVec2;
 
 use super::build::bytes_of;
-use super::catalogue::{Catalogue, MAX_TRIES, Source};
+use super::contents::{Contents, MAX_TRIES, Source};
 use super::error::DatabaseError;
 use super::hall;
 use super::index::{Index, Neighbour};
@@ -29,7 +29,7 @@ use realitysim_vision::BodyMask;
 #[derive(Debug)]
 pub struct ImageDatabase {
     folder: PathBuf,
-    catalogue: Catalogue,
+    contents: Contents,
     index: Index,
     settings: ViewsSettings,
     field: Field,
@@ -96,25 +96,25 @@ const MAX_UNREADABLE: usize = 32;
 impl ImageDatabase {
     /// Opens the database in a folder.
     ///
-    /// A concurrent change removes files that the new catalogue does not name; then the catalogue is read again.
+    /// A concurrent change removes files that the new contents do not name; then the contents are read again.
     pub fn open(folder: &Path, settings: &ViewsSettings) -> Result<Self, DatabaseError> {
         for _ in 0..MAX_TRIES {
-            let (catalogue, index) = Catalogue::with_index(folder)?;
-            let number = catalogue.index;
-            match Self::of(folder, settings, catalogue, index) {
-                Err(_) if Catalogue::read(folder)?.index != number => {}
+            let (contents, index) = Contents::with_index(folder)?;
+            let number = contents.index;
+            match Self::of(folder, settings, contents, index) {
+                Err(_) if Contents::read(folder)?.index != number => {}
                 opened => return opened,
             }
         }
         Err(DatabaseError::Busy { path: folder.to_owned() })
     }
 
-    fn of(folder: &Path, settings: &ViewsSettings, catalogue: Catalogue, index: Index) -> Result<Self, DatabaseError> {
-        let field = Field::new(catalogue.field.clone())
+    fn of(folder: &Path, settings: &ViewsSettings, contents: Contents, index: Index) -> Result<Self, DatabaseError> {
+        let field = Field::new(contents.field.clone())
             .map_err(|source| DatabaseError::Field { path: folder.to_owned(), source })?;
         let mut by_lens: Vec<(&LensParameters, Arc<Camera>)> = Vec::new();
         let (mut cameras, mut shows, mut bodies, mut moved) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for source in &catalogue.sources {
+        for source in &contents.sources {
             let known = by_lens.iter().find(|(lens, _)| **lens == source.lens).map(|(_, camera)| Arc::clone(camera));
             let camera = match known {
                 Some(camera) => camera,
@@ -131,14 +131,14 @@ impl ImageDatabase {
             cameras.push(camera);
             moved.push(MovedBlocks::open(folder, source)?);
         }
-        let any_goals = catalogue.sources.iter().any(|source| source.goals);
+        let any_goals = contents.sources.iter().any(|source| source.goals);
         let world = if settings.goals && any_goals { World::new(&field) } else { World::without_goals(&field) };
-        let world = world.with_hall(hall::common(&catalogue.sources));
+        let world = world.with_hall(hall::common(&contents.sources));
         let decoded = Mutex::new(Decoded::new(settings.cache_mb << 20));
         let settings = settings.clone();
         Ok(Self {
             folder: folder.to_owned(),
-            catalogue,
+            contents,
             index,
             settings,
             field,
@@ -153,8 +153,8 @@ impl ImageDatabase {
 
     /// Opens the database again if it has been changed since this one was opened.
     pub fn reopened(&self) -> Result<Option<Self>, DatabaseError> {
-        let now = Catalogue::read(&self.folder)?;
-        if now.index == self.catalogue.index {
+        let now = Contents::read(&self.folder)?;
+        if now.index == self.contents.index {
             return Ok(None);
         }
         Self::open(&self.folder, &self.settings).map(Some)
@@ -175,9 +175,9 @@ impl ImageDatabase {
         &self.world
     }
 
-    /// The catalogue.
-    pub fn catalogue(&self) -> &Catalogue {
-        &self.catalogue
+    /// The contents.
+    pub fn contents(&self) -> &Contents {
+        &self.contents
     }
 
     /// The camera that an image was taken with.
@@ -247,7 +247,7 @@ impl ImageDatabase {
                     continue;
                 }
                 let gone = |path: &Path| format!("{}: gone since it was indexed", path.display());
-                let known = self.catalogue.sources.get(source as usize);
+                let known = self.contents.sources.get(source as usize);
                 let path = known.and_then(|source| source.file(file));
                 // If a whole source or file is gone, all of its images are excluded at once.
                 match (known.map(|source| &source.path).filter(|path| !path.exists()), path) {
@@ -280,7 +280,7 @@ impl ImageDatabase {
             if !same || !request.is_within(&record.pose()) || wanted.method == Method::Nearest {
                 continue;
             }
-            let (Ok(bytes), Ok(image)) = (bytes_of(&self.catalogue, &record), self.image(neighbour.number)) else {
+            let (Ok(bytes), Ok(image)) = (bytes_of(&self.contents, &record), self.image(neighbour.number)) else {
                 continue;
             };
             let candidate = self.candidate(neighbour.number, &record, own, &image);
@@ -353,7 +353,7 @@ impl ImageDatabase {
 
     /// The vignetting of a source, as it was measured when the source was added.
     fn darkening(&self, source: usize) -> Vignetting {
-        let measured = self.catalogue.sources.get(source).and_then(|source| source.darkening);
+        let measured = self.contents.sources.get(source).and_then(|source| source.darkening);
         measured.map_or_else(Vignetting::default, |k| Vignetting { k })
     }
 
@@ -361,7 +361,7 @@ impl ImageDatabase {
     fn darkening_of(&self, lens: &LensParameters) -> Vignetting {
         let size = [Some(lens.width), Some(lens.height)];
         let is_same = |source: &Source| source.lens.maps_as(lens) || source.lens.resized(size).maps_as(lens);
-        let source = self.catalogue.sources.iter().position(|source| source.darkening.is_some() && is_same(source));
+        let source = self.contents.sources.iter().position(|source| source.darkening.is_some() && is_same(source));
         source.map_or_else(Vignetting::default, |source| self.darkening(source))
     }
 
@@ -394,12 +394,12 @@ impl ImageDatabase {
     }
 
     fn bytes(&self, record: &Record) -> Result<Vec<u8>, String> {
-        bytes_of(&self.catalogue, record).map_err(|(path, what)| format!("{}: {what}", path.display()))
+        bytes_of(&self.contents, record).map_err(|(path, what)| format!("{}: {what}", path.display()))
     }
 
     fn decode(&self, record: &Record, bytes: &[u8]) -> Result<Pyramid, String> {
         let shows = self.shows.get(record.source as usize);
-        let shows = shows.ok_or("the index names a source that the catalogue does not know")?;
+        let shows = shows.ok_or("the index names a source that database.json does not know")?;
         let colours = colours(bytes, record.form)?;
         let raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, shows);
         let mut raster = raster.ok_or("its pixels do not fit its lens")?;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::catalogue::Catalogue;
+use super::contents::Contents;
 use super::error::{DatabaseError, io};
 use super::sources::is_source;
 use realitysim_recording::{DISK_FILE, STATE_FILE};
@@ -14,7 +14,7 @@ const BESIDE_CAPTURES: [&str; 2] = [STATE_FILE, DISK_FILE];
 ///
 /// A folder of captures stands for those in it that the database does not have. A capture or folder of images that the
 /// database has is an error.
-pub(super) fn sources_of(paths: &[PathBuf], known: Option<&Catalogue>) -> Result<Vec<PathBuf>, DatabaseError> {
+pub(super) fn sources_of(paths: &[PathBuf], known: Option<&Contents>) -> Result<Vec<PathBuf>, DatabaseError> {
     let mut found: Vec<PathBuf> = Vec::new();
     for path in paths {
         let inside = captures_in(path)?;

@@ -1,7 +1,7 @@
 //! The image database: finds recorded images by the pose of their camera and makes views of them.
 //!
 //! Images stay where they were recorded, in captures or folders; the database holds an [`Index`] of their poses and a
-//! [`Catalogue`] of their sources. [`add`], [`remove`], [`rebuild`] and [`verify`] maintain it, also while others read it.
+//! [`Contents`]: their sources. [`add`], [`remove`], [`rebuild`] and [`verify`] maintain it, also while others read it.
 //! [`ImageDatabase`] answers requests: it selects images, decodes them, and has [`realitysim_views`] make the view.
 //! [`training_set`] prepares images for programs that learn a scene. [`leave_one_out`] measures the quality of the views, [`coverage`] shows the poses that images exist of. The formats of the
 //! files are described in docs/reference/formats.md.
@@ -42,7 +42,7 @@
 //! ```
 
 mod build;
-mod catalogue;
+mod contents;
 mod coverage;
 mod error;
 mod goals;
@@ -65,7 +65,7 @@ pub mod training_set;
 mod vignetting;
 
 pub use build::{Added, Checked, Stats, add, rebuild, remove, stats, verify};
-pub use catalogue::{Catalogue, Source, SourceKind, TagLimits};
+pub use contents::{Contents, Source, SourceKind, TagLimits};
 pub use coverage::coverage;
 pub use error::DatabaseError;
 pub use image_database::{ImageDatabase, ViewQuery, ViewResult};

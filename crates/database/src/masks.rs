@@ -5,7 +5,7 @@ use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use super::catalogue::{Catalogue, Source};
+use super::contents::{Contents, Source};
 use super::error::DatabaseError;
 use super::moved::MOVED;
 use realitysim_config::plain_file;
@@ -26,7 +26,7 @@ pub(super) fn write_body(folder: &Path, source: &Source, body: &BodyMask) -> Res
     write(folder, source, BODY, body.to_gray())
 }
 
-/// Writes a mask under a name made of its checksum, so that a file that an older catalogue names is never changed.
+/// Writes a mask under a name made of its checksum, so that a file that an older `database.json` names is never changed.
 fn write(folder: &Path, source: &Source, what: &str, gray: Vec<u8>) -> Result<String, DatabaseError> {
     let name = format!("{what}{:08x}.png", crc32fast::hash(&gray));
     let path = folder.join(&name);
@@ -65,14 +65,14 @@ impl Masks {
     }
 }
 
-/// Removes the masks that the catalogue does not name: those of removed sources and of failed additions.
+/// Removes the masks that the contents do not name: those of removed sources and of failed additions.
 ///
-/// A reader that has just read an older catalogue reads the catalogue again.
-pub(super) fn remove_all_but(folder: &Path, catalogue: &Catalogue) {
+/// A reader that has just read an older `database.json` reads it again.
+pub(super) fn remove_all_but(folder: &Path, contents: &Contents) {
     let masks = |source: &Source| -> Vec<String> {
         source.dark.iter().chain(&source.body_masks).chain(&source.moved).cloned().collect()
     };
-    let used: Vec<String> = catalogue.sources.iter().flat_map(masks).collect();
+    let used: Vec<String> = contents.sources.iter().flat_map(masks).collect();
     let entries = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
     let unused = |path: &PathBuf| {
         let name = path.file_name().and_then(|name| name.to_str());

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::{fs, io};
 
 use super::build::Progress;
-use super::catalogue::Source;
+use super::contents::Source;
 use super::error::DatabaseError;
 use super::image_database::shown_by;
 use super::parallel::in_parallel;

@@ -12,7 +12,7 @@ pub struct Record {
     pub place: [f32; 3],
     /// Rotation of `camera_link` in `map`, unit quaternion x, y, z, w.
     pub rotation: [f32; 4],
-    /// Number of the source in the catalogue.
+    /// Number of the source in the contents.
     pub source: u32,
     /// Number of the file in its source.
     pub file: u32,

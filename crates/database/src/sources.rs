@@ -8,7 +8,7 @@ use std::thread;
 
 use glam::DVec3;
 
-use super::catalogue::{Source, SourceKind, TagLimits};
+use super::contents::{Source, SourceKind, TagLimits};
 use super::error::{DatabaseError, io};
 use super::lit_pixels::LitPixels;
 use super::pixels::{colours, quality, read_bytes};
@@ -28,7 +28,7 @@ use realitysim_vision::BodyMask;
 /// A source that was read, with its images.
 pub(super) struct Read {
     pub(super) source: Source,
-    /// The images. The number of their source is set when they are added to the catalogue.
+    /// The images. The number of their source is set when they are added to the contents.
     pub(super) records: Vec<Record>,
     /// The source's field; `None` if the source does not name it.
     pub(super) field: Option<FieldDimensions>,

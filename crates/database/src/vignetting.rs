@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::catalogue::Source;
+use super::contents::Source;
 use super::error::DatabaseError;
 use super::image_database::shown_by;
 use super::pixels::{colours, read_bytes};

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::catalogue::Session;
 use super::error::RecordingError;
 use super::manifest::ManifestLine;
+use super::sessions::Session;
 use super::storage::{Disk, Storage, read_small, write_atomically};
 
 /// Folder in a session's folder with one file of acknowledgements per receiver.

@@ -3,8 +3,8 @@
 //! The recorder and `sessions prune` share this policy. It is pure: no file, no clock.
 
 use super::acknowledgement::receivers_of;
-use super::catalogue::Session;
 use super::manifest::ManifestLine;
+use super::sessions::Session;
 
 /// A session, and those of its segments that may be deleted.
 #[derive(Clone, Debug)]

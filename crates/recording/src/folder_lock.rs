@@ -1,9 +1,9 @@
-//! The lock of a folder of captures.
+//! The lock of a folder of captures, or of a catalogue.
 //!
 //! Recorder, sync and prune delete segments because of acknowledgements, and give and take acknowledgements. Each of
 //! them reads, decides and acts while it holds this lock: what was read before may no longer be true.
 
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
@@ -18,6 +18,16 @@ impl FolderLock {
         let folder = File::open(captures)?;
         folder.lock()?;
         Ok(Self(folder))
+    }
+
+    /// Takes the lock of one folder without waiting; `None` if another process has it.
+    pub fn try_in_folder(folder: &Path) -> io::Result<Option<Self>> {
+        let folder = File::open(folder)?;
+        match folder.try_lock() {
+            Ok(()) => Ok(Some(Self(folder))),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(error)) => Err(error),
+        }
     }
 
     /// Waits for the locks of several folders. All callers lock them in the same order, by device and inode, so that

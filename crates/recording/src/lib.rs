@@ -32,7 +32,6 @@
 //! ```
 
 mod acknowledgement;
-pub mod catalogue;
 mod coverage;
 mod deletion_rules;
 mod disk_latency;
@@ -52,6 +51,7 @@ mod repair;
 mod retention;
 mod segment;
 mod session_writer;
+pub mod sessions;
 #[cfg(test)]
 mod simulation;
 mod status;
@@ -69,7 +69,6 @@ pub use acknowledgement::{
     ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER, is_receiver, receiver_of,
     receivers_of, silence,
 };
-pub use catalogue::{Received, Session, SetAside};
 pub use coverage::{COVERAGE_FILE, read_coverage, write_coverage};
 pub use deletion_rules::{Releasable, releasable};
 pub use disk_latency::{DISK_FILE, DiskMeasured};
@@ -88,6 +87,7 @@ pub use repair::{Repaired, repair, sessions_of};
 pub use retention::Evicted;
 pub use segment::{ACTIVE, is_segment_name};
 pub use session_writer::{Ended, SegmentState, SessionWriter, Writing, camera_transforms};
+pub use sessions::{Received, Session, SetAside};
 pub use status::{Fault, RecorderStatus, Stopped};
 pub use sync_schedule::loss_bound_ms;
 pub use tags::{Readout, ReadoutError, losses, read_tags, read_topic};

@@ -9,11 +9,11 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use super::acknowledgement::receiver_on;
-use super::catalogue::{Session, sessions_on};
 use super::deletion_rules::releasable;
 use super::error::RecordingError;
 use super::manifest::{EVICTED_FILE, ManifestLine};
 use super::record_queue::Allowed;
+use super::sessions::{Session, sessions_on};
 use super::status::{RecorderStatus, Stopped};
 use super::storage::{Appending, Kind, Listed, Space, Storage, read_small};
 use realitysim_config::RecordingSettings;

@@ -211,13 +211,13 @@ impl ViewService {
     pub(super) fn info(&self) -> Value {
         let database = self.database();
         let names = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
-        let sources = database.catalogue().sources.iter().enumerate().map(|(number, source)| {
+        let sources = database.contents().sources.iter().enumerate().map(|(number, source)| {
             json!({ "number": number, "name": names(&source.path), "images": source.images, "lens": source.lens })
         });
         json!({
             "version": env!("CARGO_PKG_VERSION"),
             "images": database.index().len(),
-            "index": database.catalogue().index,
+            "index": database.contents().index,
             "field": database.field().dimensions(),
             "sources": sources.collect::<Vec<Value>>(),
             "lenses": self.lenses,
@@ -306,7 +306,7 @@ fn provenance(database: &ImageDatabase, shown: &ViewResult, channels: usize) -> 
         ("realitysim-width", answer.image.width.to_string()),
         ("realitysim-height", answer.image.height.to_string()),
         ("realitysim-channels", channels.to_string()),
-        ("realitysim-index", database.catalogue().index.to_string()),
+        ("realitysim-index", database.contents().index.to_string()),
         ("realitysim-lens", json!(shown.camera.lens().parameters()).to_string()),
     ];
     if let Some(pixels) = answer.trusted_error_px() {

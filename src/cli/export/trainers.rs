@@ -130,7 +130,7 @@ fn light(database: &ImageDatabase, set: &TrainingSet) -> anyhow::Result<String> 
         gain_rgb: image.gain.map(|gain| (1e4 * gain).round() / 1e4),
         source: database.index().record(image.number).source,
     });
-    let vignetting = database.catalogue().sources.iter().map(|source| source.darkening);
+    let vignetting = database.contents().sources.iter().map(|source| source.darkening);
     Ok(serde_json::to_string_pretty(&Light { images: images.collect(), vignetting: vignetting.collect() })?)
 }
 

@@ -124,7 +124,7 @@ struct Job<'a> {
 impl<'a> Job<'a> {
     fn new(arguments: &'a LabelsArguments, database: &'a ImageDatabase) -> anyhow::Result<Self> {
         let labeller = Labeller::new(database.field(), database.world().has_goals());
-        let sources = database.catalogue().sources.iter();
+        let sources = database.contents().sources.iter();
         let covariances = sources.map(database::covariances).collect::<Result<_, _>>()?;
         let classes = match arguments.classes {
             None | Some(Classes::Landmarks) => LANDMARK_CLASSES,

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::CapturesArguments;
 use crate::cli::{Outcome, output};
-use crate::recording::catalogue::sessions_in;
+use crate::recording::sessions::sessions_in;
 use crate::recording::sync::{KnownSource, known_sources};
 use crate::recording::{Counts, ManifestLine, Session, SessionId, receiver_of, receivers_of, saturating_sum};
 

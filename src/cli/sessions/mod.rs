@@ -13,7 +13,7 @@ use clap::{Args, Subcommand};
 
 use super::Outcome;
 use super::settings::UsageError;
-use crate::recording::catalogue::session_at;
+use crate::recording::sessions::session_at;
 use crate::recording::storage::{Disk, Kind, Storage};
 use crate::recording::sync::SERVICE_CAPTURES;
 use crate::recording::{ACTIVE, Loss, MANIFEST_FILE, SESSION_FILE, Session, is_segment_name, sessions_of};

@@ -9,8 +9,8 @@ use super::{CapturesArguments, full_name};
 use crate::cli::settings::UsageError;
 use crate::cli::values::{any_number, any_whole};
 use crate::cli::{Outcome, output, paths};
-use crate::recording::catalogue::sessions_in;
 use crate::recording::saturating_sum;
+use crate::recording::sessions::sessions_in;
 use crate::recording::sync::{Decision, Goal, Removal};
 
 /// Delete sessions that another store has, whole and verified

@@ -15,7 +15,7 @@ use crate::evaluation::drawing::coverage_map;
 use crate::geometry::{Field, Isometry, PoseGrid};
 use crate::log_input::decode;
 use crate::log_input::log::LogSource;
-use crate::recording::catalogue::session_at;
+use crate::recording::sessions::session_at;
 use crate::recording::sync::known_sources;
 use crate::recording::{ManifestLine, Session, SessionInfo, read_coverage, read_info};
 use crate::ros2::mcap_read::Selection;

@@ -5,7 +5,7 @@ use serde_json::json;
 
 use super::CapturesArguments;
 use crate::cli::{Outcome, output};
-use crate::recording::catalogue::session_at;
+use crate::recording::sessions::session_at;
 use crate::recording::storage::Disk;
 use crate::recording::sync::{Store, SyncError};
 use crate::recording::{Loss, Verified, receiver_of, verify};

@@ -29,9 +29,9 @@ pub fn run(case: &mut Case) -> Outcome {
     match case.draw.below(5) {
         0 => {
             let path = folder.join("database.json");
-            let catalogue = fs::read_to_string(&path).expect("a catalogue");
-            fs::write(&path, text::damage(&mut case.draw, &catalogue)).expect("written");
-            case.tell("text of the catalogue");
+            let contents = fs::read_to_string(&path).expect("a database");
+            fs::write(&path, text::damage(&mut case.draw, &contents)).expect("written");
+            case.tell("text of database.json");
         }
         1 => {
             bytes::damage(&mut case.draw, &mut changed);

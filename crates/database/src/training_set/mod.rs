@@ -182,7 +182,7 @@ fn one_of_each_cell(records: &[(usize, Record)]) -> Vec<(usize, Record)> {
 
 /// The lenses of the chosen images, and for each source the number of its lens.
 fn cameras(database: &ImageDatabase, chosen: &[(usize, Record)]) -> Result<(Vec<LensFit>, Vec<usize>), DatabaseError> {
-    let sources = &database.catalogue().sources;
+    let sources = &database.contents().sources;
     let mut lenses: Vec<&LensParameters> = Vec::new();
     let mut fits = Vec::new();
     let mut camera_of = vec![0; sources.len()];

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeSet;
 
-use super::super::catalogue::SetAside;
 use super::super::error::RecordingError;
 use super::super::folder::{DamagedLine, Loss, all_lines};
 use super::super::manifest::{MANIFEST_FILE, ManifestLine};
 use super::super::retention::evicted_segments;
 use super::super::segment::{ACTIVE, segment_index, segment_name};
+use super::super::sessions::SetAside;
 use super::super::storage::{read_small, write_atomically};
 use super::super::verify::hash;
 use super::SessionRepair;

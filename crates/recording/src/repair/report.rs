@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::super::catalogue::SetAside;
 use super::super::folder::Loss;
+use super::super::sessions::SetAside;
 
 /// What was done to one session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::super::catalogue::SetAside;
 use super::super::error::RecordingError;
 use super::super::folder::Loss;
 use super::super::segment::{ACTIVE, CUT_BYTES, CUT_RECORD, CUT_SEGMENT, is_segment_name};
+use super::super::sessions::SetAside;
 use super::super::storage::Listed;
 use super::SessionRepair;
 use super::quarantine::set_aside;

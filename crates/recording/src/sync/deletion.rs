@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use super::error::{SyncError, io};
 use super::prune::{Copy, Decision, Goal, decide};
 use super::store::{Store, is_as_recorded};
-use crate::catalogue::{session_at, sessions_in};
+use crate::sessions::{session_at, sessions_in};
 use crate::{FolderLock, Session, is_probe, prove_distinct, receiver_of, silence, sync_folder};
 
 /// What may be deleted from a folder of captures, and why.

@@ -1,6 +1,6 @@
 //! Parser of what `rsync --list-only` prints: files with sizes, folders, and links.
 
-use crate::catalogue::Kind;
+use crate::sessions::Kind;
 
 /// An entry of a listing.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -5,7 +5,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 use super::error::{SyncError, io};
-use crate::catalogue::sessions_in;
+use crate::sessions::sessions_in;
 use crate::{ACK_ENDING, ACK_FOLDER, RECEIVER_FILE, receiver_of, robot_id, write_atomically};
 
 /// Hexadecimal digits behind the machine's name.

@@ -213,7 +213,7 @@ mod tests {
     fn an_open_session_or_one_with_foreign_files_stays_even_when_forced() {
         let mut all = [session(1, &["a"]), session(2, &["a"]), session(3, &["a"])];
         all[0].open = true;
-        all[1].note("notes.new", crate::catalogue::Kind::File(5));
+        all[1].note("notes.new", crate::sessions::Kind::File(5));
         all[2].segments.insert("0001.mcap".into(), 7);
         assert_eq!(gone(&all, None, &Goal { force: true, pinned: true, ..Goal::default() }), [""; 0]);
     }
@@ -221,8 +221,8 @@ mod tests {
     #[test]
     fn a_session_with_refined_tags_goes_only_when_forced() {
         let mut one = session(1, &["a"]);
-        one.note("refined", crate::catalogue::Kind::Folder);
-        one.note("manifest.new", crate::catalogue::Kind::File(5));
+        one.note("refined", crate::sessions::Kind::Folder);
+        one.note("manifest.new", crate::sessions::Kind::File(5));
         assert_eq!(gone(&[one.clone()], None, &Goal::default()), [""; 0]);
         assert_eq!(gone(&[one], None, &Goal { force: true, ..Goal::default() }), ["day-1"]);
     }

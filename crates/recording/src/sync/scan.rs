@@ -8,7 +8,7 @@ use super::listing::Entry;
 use super::rsync::{Ended, Rsync};
 use super::source_state::SourceState;
 use super::sync_pass::Report;
-use crate::catalogue::{Kind, is_plain_name, sessions_in};
+use crate::sessions::{Kind, is_plain_name, sessions_in};
 use crate::{Session, SetAside, is_segment_name};
 
 /// A source at one moment.
@@ -90,7 +90,7 @@ mod tests {
     use std::fs;
 
     use super::*;
-    use crate::catalogue::session_at;
+    use crate::sessions::session_at;
 
     #[test]
     fn a_folder_that_cannot_be_read_is_not_taken_for_an_empty_one() {

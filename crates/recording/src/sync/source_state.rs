@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::error::{SyncError, io};
 use super::source::Source;
 use super::store::{MAX_SMALL_BYTES, own_file, real_folder};
-use crate::catalogue::sessions_in;
+use crate::sessions::sessions_in;
 use crate::storage::read_plain;
 use crate::{ACK_ENDING, ACK_FOLDER, SYNC_FOLDER, Session, SessionId, write_atomically};
 

@@ -19,7 +19,7 @@ use super::name::receiver;
 use super::plan::{Item, TransferReason};
 use super::source::Source;
 use super::source_state::SourceState;
-use crate::catalogue::{session_at, sessions_in};
+use crate::sessions::{session_at, sessions_in};
 use crate::storage::{open_plain, read_plain};
 use crate::{
     ACK_ENDING, ACK_FOLDER, Acknowledgement, COVERAGE_FILE, FolderLock, MANIFEST_FILE, METADATA_FILE, ManifestLine,

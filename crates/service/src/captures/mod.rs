@@ -14,7 +14,7 @@ use hyper::StatusCode;
 use serde_json::{Value, json};
 
 use super::HttpProblem;
-use realitysim_recording::catalogue::sessions_in;
+use realitysim_recording::sessions::sessions_in;
 use realitysim_recording::{ManifestLine, Session};
 use scan::Capture;
 

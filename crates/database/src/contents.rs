@@ -1,4 +1,4 @@
-//! The catalogue `database.json`: the sources of a database, and the index that belongs to it.
+//! The contents of a database, `database.json`: its sources, and the index that belongs to them.
 //!
 //! A change takes effect at the moment when this file is replaced.
 
@@ -15,7 +15,7 @@ use realitysim_views::Hall;
 
 /// The content of `database.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Catalogue {
+pub struct Contents {
     /// Version of the file's format.
     pub format: u32,
     /// Number of the index file; it counts up with every change.
@@ -97,21 +97,21 @@ pub enum SourceKind {
 
 /// Most attempts to open a database while others change it.
 pub(super) const MAX_TRIES: usize = 100;
-/// Largest catalogue that is read; a source takes some hundred bytes.
-const MAX_CATALOGUE_BYTES: u64 = 64 << 20;
+/// Largest `database.json` that is read; a source takes some hundred bytes.
+const MAX_CONTENTS_BYTES: u64 = 64 << 20;
 const FORMAT: u32 = 1;
 const FILE: &str = "database.json";
 
-impl Catalogue {
-    /// A catalogue without sources.
+impl Contents {
+    /// Contents without sources.
     pub fn new(field: FieldDimensions) -> Self {
         Self { format: FORMAT, index: 0, field, sources: Vec::new() }
     }
 
-    /// Reads the catalogue of the database in a folder.
+    /// Reads the contents of the database in a folder.
     pub fn read(folder: &Path) -> Result<Self, DatabaseError> {
         let path = folder.join(FILE);
-        let text = match plain_file::read_text(&path, MAX_CATALOGUE_BYTES) {
+        let text = match plain_file::read_text(&path, MAX_CONTENTS_BYTES) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 return Err(DatabaseError::None { path: folder.to_owned() });
@@ -119,23 +119,23 @@ impl Catalogue {
             Err(error) => return Err(io(&path)(error)),
         };
         let damaged = |what: String| DatabaseError::Lost { path: path.clone(), what, folder: folder.to_owned() };
-        let catalogue: Self = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
-        if catalogue.format != FORMAT {
-            return Err(damaged(format!("of format {}, and this program reads format {FORMAT}", catalogue.format)));
+        let contents: Self = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
+        if contents.format != FORMAT {
+            return Err(damaged(format!("of format {}, and this program reads format {FORMAT}", contents.format)));
         }
-        Ok(catalogue)
+        Ok(contents)
     }
 
-    /// Reads the catalogue and its index.
+    /// Reads the contents and their index.
     ///
-    /// A concurrent change removes the old index after it has written the new catalogue; then both are read again.
+    /// A concurrent change removes the old index after it has written the new contents; then both are read again.
     pub fn with_index(folder: &Path) -> Result<(Self, Index), DatabaseError> {
         let mut tries = 0;
         loop {
-            let catalogue = Self::read(folder)?;
-            match Index::open(&path_of(folder, catalogue.index)) {
-                Ok(index) => return Ok((catalogue, index)),
-                Err(error) if tries == MAX_TRIES || Self::read(folder)?.index == catalogue.index => return Err(error),
+            let contents = Self::read(folder)?;
+            match Index::open(&path_of(folder, contents.index)) {
+                Ok(index) => return Ok((contents, index)),
+                Err(error) if tries == MAX_TRIES || Self::read(folder)?.index == contents.index => return Err(error),
                 Err(_) => tries += 1,
             }
         }
