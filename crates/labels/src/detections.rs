@@ -122,6 +122,7 @@ impl Labeller {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DMat2;
     use proptest::prelude::*;
     use realitysim_config::load_field;
     use realitysim_geometry::Field;
@@ -133,7 +134,7 @@ mod tests {
     }
 
     fn keypoint(at: (f64, f64), visibility: Visibility) -> Keypoint {
-        Keypoint { at: at.into(), sigma_px: 0.5, visibility }
+        Keypoint { at: at.into(), sigma_px: 0.5, covariance_px2: DMat2::IDENTITY * 0.25, visibility }
     }
 
     fn point(class: usize, at: (f64, f64)) -> Detection {
