@@ -29,6 +29,7 @@ mod opened_database;
 mod output;
 mod paths;
 mod photo;
+mod pose_covariances;
 mod postgame;
 mod record;
 mod reference_check;

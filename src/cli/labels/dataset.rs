@@ -1,6 +1,5 @@
 //! Labels all images of a database on all processors, and writes the files in their order.
 
-use std::collections::HashMap;
 use std::fmt::Write;
 use std::path::Path;
 use std::time::Instant;
@@ -11,15 +10,14 @@ use image::{GrayImage, RgbImage};
 use super::super::opened_database::OpenedDatabase;
 use super::super::output;
 use super::super::paths::{make_folder, write, write_bytes};
+use super::super::pose_covariances::PoseCovariances;
 use super::preview::{PREVIEWS, preview, sheet};
 use super::{Classes, Format, LabelsArguments, Report};
 use crate::database::training_set::{is_held_out, precise_records};
-use crate::database::{self, ImageDatabase, Record, in_parallel};
+use crate::database::{ImageDatabase, Record, in_parallel};
 use crate::labels::coco::{Coco, CocoImage};
 use crate::labels::yolo;
-use crate::labels::{
-    BOOSTER_CLASSES, Class, ClassList, LANDMARK_CLASSES, Labeller, PoseCovariance, PosedImage, Visibility,
-};
+use crate::labels::{BOOSTER_CLASSES, Class, ClassList, LANDMARK_CLASSES, Labeller, PosedImage, Visibility};
 use crate::recording::Loss;
 
 /// Images that are labelled before their results are put together.
@@ -114,8 +112,7 @@ enum Failure {
 struct Job<'a> {
     database: &'a ImageDatabase,
     labeller: Labeller,
-    /// Covariances of the poses by stamp, for each source.
-    covariances: Vec<HashMap<i64, [f64; 36]>>,
+    covariances: PoseCovariances,
     format: Format,
     classes: ClassList,
     folder: &'a Path,
@@ -124,8 +121,7 @@ struct Job<'a> {
 impl<'a> Job<'a> {
     fn new(arguments: &'a LabelsArguments, database: &'a ImageDatabase) -> anyhow::Result<Self> {
         let labeller = Labeller::new(database.field(), database.world().has_goals());
-        let sources = database.contents().sources.iter();
-        let covariances = sources.map(database::covariances).collect::<Result<_, _>>()?;
+        let covariances = PoseCovariances::of(database)?;
         let classes = match arguments.classes {
             None | Some(Classes::Landmarks) => LANDMARK_CLASSES,
             Some(Classes::Booster) => BOOSTER_CLASSES,
@@ -155,7 +151,7 @@ impl<'a> Job<'a> {
         let posed = PosedImage {
             camera,
             map_from_link: record.pose(),
-            covariance: self.covariance(record),
+            covariance: self.covariances.get(record),
             shown: &shown,
             body: self.database.body(record.source),
         };
@@ -179,14 +175,6 @@ impl<'a> Job<'a> {
             preview: previewed.then(|| preview(&self.labeller, &posed, image.full(), &classes)),
             file: name,
         })
-    }
-
-    /// The covariance of the tag, or what the database knows of it.
-    fn covariance(&self, record: &Record) -> PoseCovariance {
-        let known = self.covariances.get(record.source as usize).and_then(|of_source| of_source.get(&record.stamp_ns));
-        let tag = record.tag();
-        let fallback = || PoseCovariance::isotropic(tag.position_m, tag.rotation_rad);
-        known.and_then(PoseCovariance::from_rows).unwrap_or_else(fallback)
     }
 
     /// Writes the files that an image has alone.

@@ -9,6 +9,7 @@ mod error_model;
 mod intervals;
 mod moments;
 mod observation;
+mod report;
 mod statistics;
 
 pub use bands::{Band, DISTANCES_M, Light, OFF_AXIS_DEG, SPEEDS_DEG_S};
@@ -16,4 +17,5 @@ pub use error_model::{Delay, ErrorModel, ModelCell};
 pub use intervals::Interval;
 pub use moments::{GroundError, PixelError};
 pub use observation::{JudgedPicture, Observation, Observations, Offset, Outcome, angular_speeds, observe};
+pub use report::{DetectorReport, ReportCell};
 pub use statistics::Statistics;
