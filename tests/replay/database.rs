@@ -28,7 +28,8 @@ pub fn walked() -> (Room, Vec<LogMessage>) {
     (room, images)
 }
 
-fn at(database: &ImageDatabase, number: usize) -> (String, i64) {
+/// The pose of an image as arguments of `view`, and its stamp.
+pub fn at(database: &ImageDatabase, number: usize) -> (String, i64) {
     let record = database.index().record(number);
     let (pose, euler) = (record.pose(), record.pose().euler());
     let [yaw, pitch, roll] = [euler.yaw, euler.pitch, euler.roll].map(f64::to_degrees);

@@ -6,11 +6,14 @@ use std::path::Path;
 use std::process::Command;
 
 use glam::DVec2;
+use realitysim::geometry::Isometry;
+use realitysim::labels::{LANDMARK_CLASSES, Landmark, landmarks};
 use realitysim::localization::random::{Purpose, Stream};
+use realitysim::ros2::messages::PoseStamped;
 use serde_json::Value;
 
-use super::database::walked;
-use super::support::Room;
+use super::database::{open, walked};
+use super::support::{Room, TRUTH, decode_all, walk};
 
 /// Names a Python interpreter that has numpy.
 const INTERPRETER: &str = "REALITYSIM_PYTHON";
@@ -19,38 +22,32 @@ const FOUND: f64 = 0.7;
 /// Its bias in the picture, pixels to the right and down.
 const BIAS_PX: DVec2 = DVec2::new(0.6, -0.4);
 /// Its standard deviation in each direction, pixels.
-const SIGMA_PX: f64 = 0.5;
+const SIGMA_PX: f64 = 1.0;
 /// Its false detections of X-crossings in a picture.
 const FALSE_ONES: f64 = 0.5;
 /// Pictures that it looks at.
-const FRAMES: usize = 24;
+const FRAMES: usize = 20;
 /// Forms of a picture that it looks at, one after the other; the first is the recorded one.
 const FORMS: usize = 5;
 
-/// The class of a landmark of this name.
-fn class_of(name: &str) -> Option<&'static str> {
-    let classes = [
-        ("post_foot", "goalpost"),
-        ("post_top", ""),
-        ("penalty_mark", "penalty_mark"),
-        ("centre", "centre"),
-        ("circle", "x_crossing"),
-        ("halfway", "t_crossing"),
-        ("goal_area_foot", "t_crossing"),
-        ("penalty_area_foot", "t_crossing"),
-    ];
-    let known = classes.iter().find(|(start, _)| name.starts_with(start)).map_or("l_crossing", |(_, class)| class);
-    (!known.is_empty()).then_some(known)
-}
-
-/// The landmarks that are visible in each image: class and pixel.
+/// The landmarks that are visible in each image by its label: class, and the pixel where the true pose puts it.
 fn visible_landmarks(room: &Room) -> BTreeMap<usize, Vec<(&'static str, DVec2)>> {
     room.run("labels db --format png -o png").succeeds();
+    let database = open(room);
+    let truths: Vec<PoseStamped> = decode_all(&walk().messages, TRUTH);
+    let known: BTreeMap<String, Landmark> =
+        landmarks(database.field()).into_iter().map(|landmark| (landmark.name.clone(), landmark)).collect();
     let mut images: BTreeMap<usize, Vec<_>> = BTreeMap::new();
     for line in fs::read_to_string(room.path("png/keypoints.csv")).unwrap().lines().skip(1) {
-        let [file, name, u, v, _, "visible"] = line.split(',').collect::<Vec<_>>()[..] else { continue };
-        let at = DVec2::new(u.parse().unwrap(), v.parse().unwrap());
-        images.entry(file[..6].parse().unwrap()).or_default().extend(class_of(name).map(|class| (class, at)));
+        let [file, name, _, _, _, "visible"] = line.split(',').collect::<Vec<_>>()[..] else { continue };
+        let number: usize = file[..6].parse().unwrap();
+        let record = database.index().record(number);
+        let truth = truths.iter().find(|truth| truth.header.stamp.to_nanoseconds() == record.stamp_ns).unwrap();
+        let optical_from_map = (Isometry::from(truth.pose) * Isometry::link_from_optical()).inverse();
+        let lens = database.camera(&record).unwrap().lens();
+        let at = lens.project(optical_from_map.transform_point(known[name].at)).unwrap();
+        let class = LANDMARK_CLASSES.class(known[name].kind).map(|class| (LANDMARK_CLASSES.names[class], at));
+        images.entry(number).or_default().extend(class);
     }
     images
 }
@@ -76,14 +73,15 @@ fn answer(landmarks: &[(&str, DVec2)], frame: u64) -> String {
 }
 
 /// A detector that says, one after the other, what is in the files `answers/0`, `answers/1`, ...
-const SCRIPT: &str = "#!/bin/sh\ncd \"$(dirname \"$0\")\"\nn=$(cat count)\necho $((n + 1)) > count\ncat \"answers/$n\"\n";
+const SCRIPT: &str =
+    "#!/bin/sh\ncd \"$(dirname \"$0\")\"\nn=$(cat count)\necho $((n + 1)) > count\ncat \"answers/$n\"\n";
 
 fn write_detector(room: &Room) -> usize {
-    let landmarks = visible_landmarks(room);
+    let (landmarks, count) = (visible_landmarks(room), open(room).index().len());
     fs::create_dir(room.path("answers")).unwrap();
     let mut to_be_seen = 0;
     for frame in 0..FRAMES {
-        let number = (2 * frame + 1) * super::database::open(room).index().len() / (2 * FRAMES);
+        let number = (2 * frame + 1) * count / (2 * FRAMES);
         for form in 0..FORMS {
             let text = if form == 0 { answer(&landmarks[&number], frame as u64) } else { String::new() };
             room.write(&format!("answers/{}", frame * FORMS + form), text);
@@ -126,13 +124,17 @@ fn a_detector_with_known_errors_gets_them_back() {
     let (found, count) = mean(&recorded, "/detection_probability/value", "/to_be_seen");
     assert_eq!(count as usize, to_be_seen);
     assert!((found - FOUND).abs() < 3.0 * (FOUND * (1.0 - FOUND) / count).sqrt(), "{found} of {count}");
-    let (right, count) = mean(&recorded, "/pixel/bias_px/0", "/pixel/count");
-    let (down, _) = mean(&recorded, "/pixel/bias_px/1", "/pixel/count");
-    let bound = 3.0 * SIGMA_PX / count.sqrt() + 0.03;
+    // Farther away, crossings of one class are nearer to each other than the detector can tell.
+    let is_near = |cell: &Value| cell["light"].is_null() && cell["distance_m"][1].as_f64().is_some_and(|to| to <= 4.0);
+    let near: Vec<Value> = cells(0).into_iter().filter(is_near).collect();
+    let (right, count) = mean(&near, "/pixel/bias_px/0", "/pixel/count");
+    let (down, _) = mean(&near, "/pixel/bias_px/1", "/pixel/count");
+    // The tags of a walk share an error, which is in the bias.
+    let bound = 3.0 * SIGMA_PX / count.sqrt() + 0.3;
     assert!(DVec2::new(right, down).distance(BIAS_PX) < bound, "{right} {down}, not within {bound}");
     for place in ["/pixel/covariance_px2/0/0", "/pixel/covariance_px2/1/1"] {
-        let (variance, _) = mean(&recorded, place, "/pixel/count");
-        assert!((variance.sqrt() / SIGMA_PX - 1.0).abs() < 3.0 / (2.0 * count).sqrt() + 0.05, "{place}: {variance}");
+        let (variance, _) = mean(&near, place, "/pixel/count");
+        assert!((variance.sqrt() / SIGMA_PX - 1.0).abs() < 3.0 / (2.0 * count).sqrt(), "{place}: {variance}");
     }
     let x_crossings = recorded.iter().find(|cell| cell["class"] == "x_crossing").unwrap();
     let wrong = &x_crossings["false_per_picture"];
@@ -177,7 +179,11 @@ fn samples_agree(room: &Room) {
 #[test]
 fn a_detector_that_fails_is_named_and_leaves_no_file() {
     let (room, _) = walked();
-    write_script(&room, "late.sh", "#!/bin/sh\ncd \"$(dirname \"$0\")\"\necho x >> asked\n[ $(wc -l < asked) -lt 4 ]\n");
+    write_script(
+        &room,
+        "late.sh",
+        "#!/bin/sh\ncd \"$(dirname \"$0\")\"\necho x >> asked\n[ $(wc -l < asked) -lt 4 ]\n",
+    );
     let late = room.path("late.sh").display().to_string();
     let gap = "measure gap --db db --frames 2 --apart 0.03 -o gap.png --error-model model.json --detector";
     for (command, words) in [

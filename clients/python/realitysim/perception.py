@@ -15,12 +15,10 @@ __all__ = ["Detected", "ErrorModel"]
 
 @dataclass(frozen=True)
 class Detected:
-    """What the detector says of a picture: where something is on the ground, seen from the camera."""
+    """What the detector says: a class such as ``x_crossing``, and where it is on the ground, seen from the camera; left is above 0."""
 
     name: str
-    """The class, such as ``x_crossing``."""
     bearing_deg: float
-    """Seen from the heading of the camera, above 0 to the left."""
     distance_m: float
     is_false: bool
 
@@ -30,7 +28,7 @@ class ErrorModel:
 
     def __init__(self, content: Mapping[str, Any]) -> None:
         if content.get("realitysim_error_model") != 1:
-            raise ValueError("an error model of format 1 is needed, as `realitysim measure gap --error-model` writes it")
+            raise ValueError("no error model of format 1, as `realitysim measure gap --error-model` writes it")
         self.classes: Dict[str, List[Dict[str, Any]]] = content["classes"]
         self.delay_ms: Dict[str, float] = content["delay_ms"]
 
@@ -63,7 +61,7 @@ class ErrorModel:
                 bias = [ground["bearing_bias_deg"], ground["distance_bias_m"]]
                 error = random.multivariate_normal(bias, ground["covariance"] or np.zeros((2, 2)))
                 bearing_deg = math.degrees(math.atan2(ray[1], ray[0])) - yaw_deg + error[0]
-                found.append(Detected(name, _wrapped(bearing_deg), max(0.0, distance_m + error[1]), False))
+                found.append(Detected(name, (bearing_deg + 180.0) % 360.0 - 180.0, max(0.0, distance_m + error[1]), False))
         return found + self._false_ones(random, fov_deg)
 
     def _false_ones(self, random: np.random.Generator, fov_deg: float) -> List[Detected]:
@@ -79,7 +77,3 @@ class ErrorModel:
 
 def _holds(band: Optional[List[Optional[float]]], value: Optional[float]) -> bool:
     return band is None or (value is not None and band[0] <= value and (band[1] is None or value < band[1]))
-
-
-def _wrapped(angle_deg: float) -> float:
-    return (angle_deg + 180.0) % 360.0 - 180.0

@@ -89,12 +89,12 @@ fn figures(statistics: &Statistics) -> String {
     let bias = pixel.map_or_else(dash, |of| format!("{:+.1}, {:+.1}", of.bias_px[0], of.bias_px[1]));
     let spread = pixel.and_then(|of| of.covariance_px2);
     let spread = spread.map_or_else(dash, |[[u, _], [_, v]]| format!("{:.1}", (0.5 * (u + v)).sqrt()));
-    let ground = statistics.ground.as_ref().map(|of| (of, of.covariance.unwrap_or_default()));
-    let bearing = ground.map_or_else(dash, |(of, [[bearing, _], _])| {
-        format!("{:+.2} \u{b1} {:.2}", of.bearing_bias_deg, bearing.sqrt())
-    });
-    let distance = ground.map_or_else(dash, |(of, [_, [_, distance]])| {
-        format!("{:+.0} \u{b1} {:.0}", 100.0 * of.distance_bias_m, 100.0 * distance.sqrt())
-    });
+    let ground = statistics.ground.as_ref();
+    let spread_of = |axis: usize, scale: f64| {
+        let variance = ground.and_then(|of| of.covariance).map(|covariance| covariance[axis][axis]);
+        variance.map_or(String::new(), |variance| format!(" \u{b1} {:.2}", scale * variance.sqrt()))
+    };
+    let bearing = ground.map_or_else(dash, |of| format!("{:+.2}{}", of.bearing_bias_deg, spread_of(0, 1.0)));
+    let distance = ground.map_or_else(dash, |of| format!("{:+.1}{}", 100.0 * of.distance_bias_m, spread_of(1, 100.0)));
     format!("{} | {found} | {wrong} | {bias} | {spread} | {bearing} | {distance}", statistics.to_be_seen)
 }
