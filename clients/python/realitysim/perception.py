@@ -59,7 +59,7 @@ class ErrorModel:
             ground = cell and cell["ground"]
             if ground and random.random() < cell["detection_probability"]["value"]:
                 bias = [ground["bearing_bias_deg"], ground["distance_bias_m"]]
-                error = random.multivariate_normal(bias, ground["covariance"] or np.zeros((2, 2)))
+                error = random.multivariate_normal(bias, ground["covariance"] or np.zeros((2, 2))).tolist()
                 bearing_deg = math.degrees(math.atan2(ray[1], ray[0])) - yaw_deg + error[0]
                 found.append(Detected(name, (bearing_deg + 180.0) % 360.0 - 180.0, max(0.0, distance_m + error[1]), False))
         return found + self._false_ones(random, fov_deg)

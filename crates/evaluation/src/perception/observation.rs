@@ -74,7 +74,7 @@ const LIGHT_RADIUS_PX: usize = 8;
 /// Step of the derivative of the ground by the pixel.
 const STEP_PX: f64 = 0.01;
 /// Longest time between tags of which an angular speed is made.
-const MAX_STEP_NS: i64 = 250_000_000;
+const NEIGHBOUR_WITHIN_NS: i64 = 250_000_000;
 
 /// Compares the detections in a picture with its landmarks, and adds the result to `observations`.
 pub fn observe(picture: &JudgedPicture, detections: &[Detection], observations: &mut Observations) {
@@ -176,7 +176,7 @@ fn mean_luma(image: &Raster, at: DVec2) -> f64 {
 /// It is taken between the tags before and after; where one of them is missing or more than 0.25 s away, from the other alone. `None`
 /// where both are.
 pub fn angular_speeds(tags: &[(i64, DQuat)]) -> Vec<Option<f64>> {
-    let is_near = |a: usize, b: usize| (1..=MAX_STEP_NS).contains(&(tags[b].0.saturating_sub(tags[a].0)));
+    let is_near = |a: usize, b: usize| (1..=NEIGHBOUR_WITHIN_NS).contains(&(tags[b].0.saturating_sub(tags[a].0)));
     let speed = |at: usize| {
         let before = at.checked_sub(1).filter(|before| is_near(*before, at)).unwrap_or(at);
         let after = Some(at + 1).filter(|after| *after < tags.len() && is_near(at, *after)).unwrap_or(at);
