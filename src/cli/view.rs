@@ -9,6 +9,7 @@ use glam::DVec3;
 use image::RgbImage;
 use serde::Serialize;
 
+use super::labels::label_view;
 use super::paths::{check_output, save, write_bytes};
 use super::settings::UsageError;
 use super::values::{any_whole, number, whole};
@@ -96,6 +97,9 @@ pub struct ViewArguments {
     /// Write the depth along each pixel's ray: .npy (metres; inf is far or unknown) or .png (millimetres, 16 bits; 0 is none)
     #[arg(long, value_name = "FILE")]
     depth: Option<PathBuf>,
+    /// Write the view with its labels into this folder, as `realitysim labels --format png` does those of recorded images
+    #[arg(long, value_name = "DIR", conflicts_with = "side_by_side")]
+    labels: Option<PathBuf>,
     /// Robot config, for its section [views]
     #[arg(long, value_name = "FILE")]
     config: Option<String>,
@@ -170,7 +174,8 @@ struct Source {
 pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     let settings = arguments.config.as_deref().map_or(Ok(Settings::default()), Settings::load)?;
     let depth = arguments.depth.as_deref().map(|path| Ok::<_, UsageError>((path, DepthForm::of(path)?))).transpose()?;
-    for path in [Some(&arguments.output), arguments.mask.as_ref(), arguments.depth.as_ref()].into_iter().flatten() {
+    let ViewArguments { output, mask: mask_file, depth: depth_file, labels, .. } = arguments;
+    for path in [Some(output), mask_file.as_ref(), depth_file.as_ref(), labels.as_ref()].into_iter().flatten() {
         let named = [&arguments.scene, &arguments.config].into_iter().flatten().map(Path::new);
         check_output(path, &named.chain([arguments.db.as_path()]).collect::<Vec<_>>())?;
     }
@@ -199,6 +204,10 @@ pub fn run(arguments: &ViewArguments, json: bool) -> anyhow::Result<Outcome> {
     }
     if let Some((path, form)) = depth {
         form.write(path, &shown.depth_m(database.world(), &figures_m), shown.camera.width())?;
+    }
+    if let Some(folder) = labels {
+        let file = output.file_name().unwrap_or_default().to_string_lossy();
+        label_view(folder, &file, &database, &shown, &figures_m, |path| write(&shown, path))?;
     }
     let report = Report { effects, ..report(&database, &shown, arguments) };
     if json {

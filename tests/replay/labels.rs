@@ -1,15 +1,18 @@
 //! `labels`: annotations made of tags, read by other programs and held against the truth.
 
 use std::fs;
+use std::path::Path;
 use std::process::Command;
 
 use glam::{DVec2, DVec3};
 use realitysim::config::Settings;
 use realitysim::database::ImageDatabase;
 use realitysim::geometry::Isometry;
+use realitysim::labels::Class;
 use realitysim::ros2::messages::PoseStamped;
 use serde_json::Value;
 
+use super::database::at;
 use super::support::{Room, TRUTH, decode_all, session_name, walk};
 
 /// Names a Python interpreter that has OpenCV and pycocotools.
@@ -74,6 +77,72 @@ fn landmarks_are_where_the_true_pose_puts_them() {
     println!("{judged} corners, {within} within two standard deviations, at most {worst:.2} px off");
     assert!(judged > 20 && worst < 1.0, "{judged} {worst}");
     assert!(10 * within >= 8 * judged, "{within} of {judged}");
+}
+
+/// Names and pixels of the visible landmarks of an image in a folder of the form png.
+fn visible(folder: &Path, file: &str) -> Vec<(String, DVec2)> {
+    let table = fs::read_to_string(folder.join("keypoints.csv")).unwrap();
+    let row = |line: &str| match line.split(',').collect::<Vec<_>>()[..] {
+        [of, name, u, v, _, "visible"] if of == file => {
+            Some((name.to_owned(), DVec2::new(u.parse().unwrap(), v.parse().unwrap())))
+        }
+        _ => None,
+    };
+    table.lines().filter_map(row).collect()
+}
+
+/// Depths against the formula: the height over the slope of the ray.
+#[test]
+fn depths_are_those_of_the_ground_and_0_outside_of_the_lens_circle() {
+    let room = recorded();
+    room.run("labels db --format png -o png").succeeds();
+    let database = ImageDatabase::open(&room.path("db"), &Settings::default().views).unwrap();
+    let record = database.index().record(3);
+    let depths = image::open(room.path("png/depth/000003.png")).unwrap().to_luma16();
+    let pose = record.pose() * Isometry::link_from_optical();
+    let lens = database.camera(&record).unwrap().lens();
+    let landmarks = visible(&room.path("png"), "000003.jpg");
+    assert!(landmarks.len() > 5);
+    for (name, at) in landmarks {
+        let pixel = at.round();
+        let ray = pose.transform_vector(lens.unproject(pixel).unwrap());
+        let expected_mm = 1000.0 * pose.translation.z / -ray.z;
+        let found_mm = f64::from(depths.get_pixel(pixel.x as u32, pixel.y as u32).0[0]);
+        assert!((found_mm / expected_mm - 1.0).abs() < 0.01, "{name}: {found_mm} {expected_mm}");
+    }
+    let classes = image::open(room.path("png/classes/000003.png")).unwrap().to_luma8();
+    let shown = database.camera(&record).unwrap().shows();
+    for ((class, depth), shown) in classes.pixels().zip(depths.pixels()).zip(shown) {
+        let is_ground = class.0[0] == Class::Carpet as u8 || class.0[0] == Class::Line as u8;
+        assert!(!is_ground || depth.0[0] > 0);
+        assert!(*shown || depth.0[0] == 0);
+    }
+    assert!(shown.contains(&false));
+}
+
+#[test]
+fn a_view_where_an_image_was_taken_has_the_labels_of_the_image() {
+    let room = recorded();
+    room.run("labels db --format png -o png").succeeds();
+    let database = ImageDatabase::open(&room.path("db"), &Settings::default().views).unwrap();
+    let (pose, _) = at(&database, 3);
+    room.run(&format!("view --db db {pose} -o view.jpg --labels of-view")).succeeds();
+    assert_eq!(fs::read(room.path("of-view/images/view.jpg")).unwrap(), fs::read(room.path("view.jpg")).unwrap());
+    let classes = |path: &str| image::open(room.path(path)).unwrap().to_luma8().into_raw();
+    let (of_view, of_image) = (classes("of-view/classes/view.png"), classes("png/classes/000003.png"));
+    let is_known = |(a, b): &(&u8, &u8)| **a != Class::Ignore as u8 && **b != Class::Ignore as u8;
+    let known: Vec<(&u8, &u8)> = of_view.iter().zip(&of_image).filter(is_known).collect();
+    assert!(known.len() * 2 > of_view.len() && known.iter().all(|(a, b)| a == b), "{}", known.len());
+    let (of_view, of_image) = (visible(&room.path("of-view"), "view.jpg"), visible(&room.path("png"), "000003.jpg"));
+    assert!(!of_view.is_empty() && of_view.len() == of_image.len());
+    for ((name, a), (other, b)) in of_view.iter().zip(&of_image) {
+        assert!(name == other && a.distance(*b) < 0.02, "{name} {a} {b}");
+    }
+    for file in ["depth/view.png", "border.csv", "classes.txt", "preview.jpg"] {
+        assert!(room.path("of-view").join(file).is_file(), "{file}");
+    }
+    room.run(&format!("view --db db {pose} -o view.jpg --labels of-view")).fails(2, &["of-view", "not empty"]);
+    room.run(&format!("view --db db {pose} -o view.jpg --labels db/labels")).fails(2, &["db/labels"]);
 }
 
 #[test]

@@ -40,6 +40,7 @@ pub mod no_frames;
 mod packing;
 mod paper;
 mod parts;
+mod perception;
 mod pictures;
 mod places;
 mod postgame;

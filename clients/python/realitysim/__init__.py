@@ -30,6 +30,7 @@ from .errors import (
     Unreachable,
 )
 from .lens import Lens
+from .perception import Detected, ErrorModel
 from .pose import matrix_of_pose, pose_of_camera
 from .service import serve
 from .view import LABELS, View
@@ -42,6 +43,8 @@ __all__ = [
     "Capture",
     "CaptureWarning",
     "Client",
+    "Detected",
+    "ErrorModel",
     "Frame",
     "Lens",
     "NotFound",

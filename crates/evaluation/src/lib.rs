@@ -4,7 +4,7 @@
 //! scene. [`suite`] runs many logs and scenes with limits, and [`mod@reference`] holds a replay to the tags of an earlier
 //! one bit for bit.
 //! [`cost`] measures what accuracy costs in time. [`contrast`] measures how tags degrade as lines fade, [`falsify`]
-//! what they do under false assumptions, [`accuracy`] how good they are on one's own field, [`postgame`] judges a robot's own pose by them, [`paper`] repeats the experiments of the paper, and [`views`] scores
+//! what they do under false assumptions, [`accuracy`] how good they are on one's own field, [`postgame`] judges a robot's own pose by them, [`paper`] repeats the experiments of the paper, [`perception`] says how a detector does and models its errors, and [`views`] scores
 //! synthesized images.
 //! [`drawing`] and [`video`] make pictures of the results. This crate prints nothing.
 //!
@@ -32,6 +32,7 @@ pub mod drawing;
 pub mod effect_cost;
 pub mod falsify;
 pub mod paper;
+pub mod perception;
 pub mod postgame;
 pub mod reference;
 pub mod statistics;

@@ -1,9 +1,9 @@
 //! The landmarks of one image: where they are, how far that can be trusted, and boxes around them.
 
-use glam::{DVec2, DVec3};
+use glam::{DMat2, DVec2, DVec3};
 use serde::Serialize;
 
-use realitysim_geometry::{Isometry, Lens};
+use realitysim_geometry::{Isometry, Lens, longest_axis};
 use realitysim_views::SURE;
 
 use crate::class_map::PosedImage;
@@ -29,6 +29,8 @@ pub struct Keypoint {
     pub at: DVec2,
     /// Standard deviation of `at` along its longer axis, pixels, from the covariance of the pose.
     pub sigma_px: f64,
+    /// Covariance of `at`, square pixels, from the covariance of the pose.
+    pub covariance_px2: DMat2,
     /// Whether it can be seen.
     pub visibility: Visibility,
 }
@@ -102,17 +104,20 @@ impl<'a> Seen<'a> {
 
     fn keypoint(&self, at: DVec3) -> Keypoint {
         let Some(pixel) = self.pixel(at) else {
-            return Keypoint { at: DVec2::ZERO, sigma_px: 0.0, visibility: Visibility::Outside };
+            let (at, covariance_px2) = (DVec2::ZERO, DMat2::ZERO);
+            return Keypoint { at, sigma_px: 0.0, covariance_px2, visibility: Visibility::Outside };
         };
         let arm = at - self.map_from_optical.translation;
         let (distance, ray) = (arm.length(), arm.normalize_or(DVec3::X));
         let hidden = !self.shows_scene(pixel) || self.goals.hides(pixel, ray, distance);
         let visibility = if hidden { Visibility::Hidden } else { Visibility::Visible };
-        Keypoint { at: pixel, sigma_px: self.sigma_px(at, pixel), visibility }
+        let covariance_px2 = self.covariance_px2(at, pixel);
+        let sigma_px = longest_axis(covariance_px2.x_axis.x, covariance_px2.x_axis.y, covariance_px2.y_axis.y);
+        Keypoint { at: pixel, sigma_px, covariance_px2, visibility }
     }
 
-    /// Standard deviation of the pixel of a point along its longer axis, pixels.
-    fn sigma_px(&self, at: DVec3, pixel: DVec2) -> f64 {
+    /// Covariance of the pixel of a point, square pixels.
+    fn covariance_px2(&self, at: DVec3, pixel: DVec2) -> DMat2 {
         let arm = at - self.map_from_optical.translation;
         // What a step of the point moves its pixel by, along two axes across the ray.
         let step = 1e-3 * arm.length();
@@ -121,14 +126,12 @@ impl<'a> Seen<'a> {
             let there = self.lens.project(self.optical_from_map.transform_point(at + axis * step));
             there.map_or(DVec2::ZERO, |there| (there - pixel) / step)
         };
-        let jacobian = [moved(first), moved(second)];
-        let sigma = |angle: f64| {
-            let (sine, cosine) = libm::sincos(angle);
-            let direction = DVec2::new(cosine, sine);
-            let along = first * jacobian[0].dot(direction) + second * jacobian[1].dot(direction);
-            self.image.covariance.sigma_along(along, arm)
-        };
-        (0..8).map(|step| sigma(core::f64::consts::PI * f64::from(step) / 8.0)).fold(0.0, f64::max)
+        let (by_first, by_second) = (moved(first), moved(second));
+        let along_u = first * by_first.x + second * by_second.x;
+        let along_v = first * by_first.y + second * by_second.y;
+        let entry = |a, b| self.image.covariance.covariance_along([a, b], arm);
+        let mixed = entry(along_u, along_v);
+        DMat2::from_cols_array(&[entry(along_u, along_u), mixed, mixed, entry(along_v, along_v)])
     }
 
     /// Whether the pixel shows the scene: neither the robot itself, nor something that moves, nor nothing.

@@ -3,7 +3,8 @@
 //! A [`Labeller`] knows a field. For a [`PosedImage`] it says what each pixel shows ([`Labeller::classes`]), where the field's landmarks
 //! are ([`Labeller::keypoints`]) and boxes around them ([`Labeller::boxes`]). Pixels so near to an edge that the covariance of the pose
 //! does not tell on which side they are have the class [`Class::Ignore`], so that labels state their own error. [`coco`] and [`yolo`]
-//! write the formats of these names.
+//! write the formats of these names. [`parse_detections`] reads what a detector found, and [`Labeller::match_detections`] says of which
+//! landmarks that is.
 //!
 //! The crate is pure: poses, lenses and masks go in, annotations come out. See `docs/howto/training.md`.
 //!
@@ -29,6 +30,7 @@ mod annotation;
 mod class_list;
 mod class_map;
 pub mod coco;
+mod detections;
 mod goals;
 mod landmarks;
 mod outlines;
@@ -39,6 +41,7 @@ pub mod yolo;
 pub use annotation::{Keypoint, LabelBox, Visibility};
 pub use class_list::{BOOSTER_CLASSES, ClassList, LANDMARK_CLASSES};
 pub use class_map::{Class, PosedImage};
+pub use detections::{Detection, DetectionError, parse_detections};
 pub use landmarks::{Landmark, LandmarkKind, landmarks};
 pub use outlines::Outline;
 pub use pose_covariance::PoseCovariance;

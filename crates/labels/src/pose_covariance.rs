@@ -24,11 +24,18 @@ impl PoseCovariance {
 
     /// Standard deviation, in metres, of `direction . p` for a point p that is fixed to the camera at `arm` from it, in axes of `map`.
     pub fn sigma_along(&self, direction: DVec3, arm: DVec3) -> f64 {
-        let turn = arm.cross(direction);
-        let g = [direction.x, direction.y, direction.z, turn.x, turn.y, turn.z];
-        let row = |row: &[f64; 6]| -> f64 { row.iter().zip(g).map(|(entry, part)| entry * part).sum() };
-        let variance: f64 = self.0.iter().zip(g).map(|(entries, part)| part * row(entries)).sum();
-        libm::sqrt(variance.max(0.0))
+        libm::sqrt(self.covariance_along([direction; 2], arm).max(0.0))
+    }
+
+    /// Covariance of `a . p` and `b . p`, in square metres, for a point p as [`Self::sigma_along`] has it.
+    pub fn covariance_along(&self, [a, b]: [DVec3; 2], arm: DVec3) -> f64 {
+        let gradient = |direction: DVec3| {
+            let turn = arm.cross(direction);
+            [direction.x, direction.y, direction.z, turn.x, turn.y, turn.z]
+        };
+        let (a, b) = (gradient(a), gradient(b));
+        let row = |row: &[f64; 6]| -> f64 { row.iter().zip(b).map(|(entry, part)| entry * part).sum() };
+        self.0.iter().zip(a).map(|(entries, part)| part * row(entries)).sum()
     }
 
     /// Standard deviation, in metres, of where the unit ray of a pixel meets the ground, along the horizontal unit vector `normal`. The

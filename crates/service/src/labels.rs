@@ -1,27 +1,59 @@
-//! The class of each pixel of a view.
+//! Labels of a view.
 
 use realitysim_database::{ImageDatabase, ViewResult};
 use realitysim_labels::{Labeller, PoseCovariance, PosedImage};
 use realitysim_views::{NOTHING, Provenance};
 
-/// Returns the classes as the numbers of [`Class`](realitysim_labels::Class), row by row.
+/// A view, and what its labels are made of.
 ///
-/// A pixel is ignored if a figure is drawn there (`figures_m` is its distance, infinite where there is none), if the view does not know
-/// what it shows, or if it is so near to an edge that the expected error of the view hides the side.
-pub(super) fn labels(database: &ImageDatabase, shown: &ViewResult, figures_m: &[f32]) -> Vec<u8> {
-    let mut mask = shown.answer.image.mask();
-    let drawn = mask.iter_mut().zip(figures_m).filter(|(_, figure_m)| figure_m.is_finite());
-    drawn.for_each(|(mask, _)| *mask = NOTHING);
-    let error_rad = shown.answer.trusted_error_px().unwrap_or(0.0) / shown.camera.lens().parameters().fx;
-    let image = PosedImage {
-        camera: &shown.camera,
-        map_from_link: shown.answer.map_from_link,
-        covariance: PoseCovariance::isotropic(0.0, error_rad),
-        shown: &mask,
-        body: own_body(database, shown, mask.len()),
-    };
-    let labeller = Labeller::new(database.field(), database.world().has_goals());
-    labeller.classes(&image).into_iter().map(|class| class as u8).collect()
+/// A pixel is ignored if a figure is drawn there, if the view does not know what it shows, or if it is so near to an edge that the
+/// expected error of the view hides the side.
+#[derive(Clone, Debug)]
+pub struct LabelledView<'a> {
+    shown: &'a ViewResult,
+    labeller: Labeller,
+    covariance: PoseCovariance,
+    mask: Vec<u8>,
+    body: &'a [bool],
+}
+
+impl<'a> LabelledView<'a> {
+    /// A view of a database. `figures_m` is the distance of the figure that is drawn at each pixel, infinite where there is none; it may
+    /// be empty.
+    pub fn new(database: &'a ImageDatabase, shown: &'a ViewResult, figures_m: &[f32]) -> Self {
+        let mut mask = shown.answer.image.mask();
+        let drawn = mask.iter_mut().zip(figures_m).filter(|(_, figure_m)| figure_m.is_finite());
+        drawn.for_each(|(mask, _)| *mask = NOTHING);
+        let error_rad = shown.answer.trusted_error_px().unwrap_or(0.0) / shown.camera.lens().parameters().fx;
+        Self {
+            shown,
+            labeller: Labeller::new(database.field(), database.world().has_goals()),
+            covariance: PoseCovariance::isotropic(0.0, error_rad),
+            body: own_body(database, shown, mask.len()),
+            mask,
+        }
+    }
+
+    /// What labels its landmarks and pixels.
+    pub fn labeller(&self) -> &Labeller {
+        &self.labeller
+    }
+
+    /// The view with its pose, as [`Self::labeller`] needs it.
+    pub fn posed_image(&self) -> PosedImage<'_> {
+        PosedImage {
+            camera: &self.shown.camera,
+            map_from_link: self.shown.answer.map_from_link,
+            covariance: self.covariance,
+            shown: &self.mask,
+            body: self.body,
+        }
+    }
+
+    /// The classes of its pixels as the numbers of [`Class`](realitysim_labels::Class), row by row.
+    pub fn class_numbers(&self) -> Vec<u8> {
+        self.labeller.classes(&self.posed_image()).into_iter().map(|class| class as u8).collect()
+    }
 }
 
 /// Returns which pixels show the robot that took the image, if the view is that image; it is cut out of all others.

@@ -3,7 +3,7 @@
 //!
 //! [`serve`] listens until it is told to stop, with limits on everything that a client can do. Views are made by a few threads
 //! behind a bounded queue: under overload some requests are refused, and the others are answered as fast as before. Changes of
-//! the database are noticed while the service runs. [`npy`] writes an array as numpy reads it. [`PARAMETERS`] lists what a request for a view may state, and [`OPENAPI`]
+//! the database are noticed while the service runs. [`npy`] writes an array as numpy reads it, and [`LabelledView`] is what the labels of a view are made of. [`PARAMETERS`] lists what a request for a view may state, and [`OPENAPI`]
 //! is the document that describes every path.
 //!
 //! ```rust,no_run
@@ -49,6 +49,7 @@ mod view_service;
 mod write_timeout;
 
 pub use arrays::{Values, npy};
+pub use labels::LabelledView;
 pub use live::LiveRobot;
 pub use parameters::PARAMETERS;
 pub use server::{ServeError, ServeOptions, serve};

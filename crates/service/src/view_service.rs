@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::HttpProblem;
 use super::encode::{self, Form};
-use super::labels::labels;
+use super::labels::LabelledView;
 use super::parameters::{MaskWanted, Parameters, ViewRequest, named};
 use realitysim_config::ViewsSettings;
 use realitysim_database::{DatabaseError, ImageDatabase, ViewQuery, ViewResult, coverage};
@@ -113,7 +113,7 @@ impl ViewService {
             None if asked.layers.is_empty() => (forms[0], encode::encode(image, forms[0], asked.mask, asked.quality)?),
             None => {
                 let depth_m = || shown.depth_m(database.world(), &figures_m);
-                let labels = || labels(&database, &shown, &figures_m);
+                let labels = || LabelledView::new(&database, &shown, &figures_m).class_numbers();
                 (Form::Arrays, (encode::encode_layers(image, &asked.layers, depth_m, labels)?, 3))
             }
         };

@@ -1,39 +1,35 @@
 //! Labels all images of a database on all processors, and writes the files in their order.
 
-use std::collections::HashMap;
 use std::fmt::Write;
 use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Context;
-use image::{GrayImage, RgbImage};
+use image::RgbImage;
 
 use super::super::opened_database::OpenedDatabase;
 use super::super::output;
 use super::super::paths::{make_folder, write, write_bytes};
+use super::super::pose_covariances::PoseCovariances;
+use super::png_form::{FOLDERS, PngForm, TableRows};
 use super::preview::{PREVIEWS, preview, sheet};
-use super::{Classes, Format, LabelsArguments, Report};
+use super::{Classes, Format, IMAGES, LabelsArguments, Report};
 use crate::database::training_set::{is_held_out, precise_records};
-use crate::database::{self, ImageDatabase, Record, in_parallel};
+use crate::database::{ImageDatabase, Record, in_parallel};
 use crate::labels::coco::{Coco, CocoImage};
 use crate::labels::yolo;
-use crate::labels::{
-    BOOSTER_CLASSES, Class, ClassList, LANDMARK_CLASSES, Labeller, PoseCovariance, PosedImage, Visibility,
-};
+use crate::labels::{BOOSTER_CLASSES, Class, ClassList, LANDMARK_CLASSES, Labeller, PosedImage, Visibility};
 use crate::recording::Loss;
 
 /// Images that are labelled before their results are put together.
 const BATCH: usize = 64;
-/// Folder of the images, from which YOLO's programs find the labels.
-const IMAGES: &str = "images";
 
 /// The labels of one image.
 struct Labelled {
     file: String,
     coco: Option<CocoImage>,
     /// Lines of the image in the tables of the form png.
-    keypoints: String,
-    border: String,
+    rows: TableRows,
     sigmas_px: Vec<f64>,
     ignored: usize,
     pixels: usize,
@@ -114,8 +110,7 @@ enum Failure {
 struct Job<'a> {
     database: &'a ImageDatabase,
     labeller: Labeller,
-    /// Covariances of the poses by stamp, for each source.
-    covariances: Vec<HashMap<i64, [f64; 36]>>,
+    covariances: PoseCovariances,
     format: Format,
     classes: ClassList,
     folder: &'a Path,
@@ -124,8 +119,7 @@ struct Job<'a> {
 impl<'a> Job<'a> {
     fn new(arguments: &'a LabelsArguments, database: &'a ImageDatabase) -> anyhow::Result<Self> {
         let labeller = Labeller::new(database.field(), database.world().has_goals());
-        let sources = database.contents().sources.iter();
-        let covariances = sources.map(database::covariances).collect::<Result<_, _>>()?;
+        let covariances = PoseCovariances::of(database)?;
         let classes = match arguments.classes {
             None | Some(Classes::Landmarks) => LANDMARK_CLASSES,
             Some(Classes::Booster) => BOOSTER_CLASSES,
@@ -137,7 +131,7 @@ impl<'a> Job<'a> {
         let others: &[&str] = match self.format {
             Format::Coco => &[],
             Format::Yolo | Format::YoloSeg | Format::YoloPose => &["labels"],
-            Format::Png => &["classes"],
+            Format::Png => &FOLDERS,
         };
         [IMAGES].iter().chain(others).try_for_each(|name| make_folder(&self.folder.join(name)))
     }
@@ -149,26 +143,24 @@ impl<'a> Job<'a> {
         let ending = self.database.ending_of(record).map_err(Failure::Unreadable)?;
         let camera =
             self.database.camera(record).ok_or_else(|| Failure::Unreadable("an image without a lens".to_owned()))?;
-        let stem = format!("{number:06}");
-        let name = format!("{stem}.{ending}");
+        let name = format!("{number:06}.{ending}");
         let shown = image.full().mask();
         let posed = PosedImage {
             camera,
             map_from_link: record.pose(),
-            covariance: self.covariance(record),
+            covariance: self.covariances.get(record),
             shown: &shown,
             body: self.database.body(record.source),
         };
         let classes = self.labeller.classes(&posed);
         write_bytes(&self.folder.join(IMAGES).join(&name), &file).map_err(Failure::Output)?;
-        self.write_own(&stem, &posed, &classes).map_err(Failure::Output)?;
+        let rows = self.write_own(&name, &posed, &classes).map_err(Failure::Output)?;
         let keypoints = self.labeller.keypoints(&posed);
         let visible = keypoints.iter().filter(|keypoint| keypoint.visibility == Visibility::Visible);
         Ok(Labelled {
             coco: (self.format == Format::Coco)
                 .then(|| CocoImage::new(&self.labeller, &posed, &classes, place + 1, &name)),
-            keypoints: self.keypoint_rows(&name, &posed),
-            border: self.border_row(&name, &posed, &classes),
+            rows,
             sigmas_px: visible.map(|keypoint| keypoint.sigma_px).collect(),
             ignored: classes
                 .iter()
@@ -181,55 +173,21 @@ impl<'a> Job<'a> {
         })
     }
 
-    /// The covariance of the tag, or what the database knows of it.
-    fn covariance(&self, record: &Record) -> PoseCovariance {
-        let known = self.covariances.get(record.source as usize).and_then(|of_source| of_source.get(&record.stamp_ns));
-        let tag = record.tag();
-        let fallback = || PoseCovariance::isotropic(tag.position_m, tag.rotation_rad);
-        known.and_then(PoseCovariance::from_rows).unwrap_or_else(fallback)
+    fn png(&self) -> PngForm<'_> {
+        PngForm { folder: self.folder, labeller: &self.labeller, world: self.database.world() }
     }
 
-    /// Writes the files that an image has alone.
-    fn write_own(&self, stem: &str, image: &PosedImage, classes: &[Class]) -> anyhow::Result<()> {
-        let text = |text: String| write(&self.folder.join("labels").join(format!("{stem}.txt")), &text);
+    /// Writes the files that an image has alone. Returns its lines in the tables of the form png.
+    fn write_own(&self, name: &str, image: &PosedImage, classes: &[Class]) -> anyhow::Result<TableRows> {
+        let text = |text: String| write(&self.folder.join("labels").join(name).with_extension("txt"), &text);
         match self.format {
             Format::Coco => Ok(()),
             Format::Yolo => text(yolo::boxes(&self.labeller, image, self.classes)),
             Format::YoloSeg => text(yolo::outlines(&self.labeller, image)),
             Format::YoloPose => text(yolo::keypoints(&self.labeller, image)),
-            Format::Png => {
-                let (width, height) = (image.camera.width() as u32, image.camera.height() as u32);
-                let gray = GrayImage::from_raw(width, height, classes.iter().map(|class| *class as u8).collect());
-                let path = self.folder.join("classes").join(format!("{stem}.png"));
-                let written = gray.context("a class for each pixel")?.save(&path);
-                written.with_context(|| path.display().to_string())
-            }
-        }
-    }
-
-    fn keypoint_rows(&self, file: &str, image: &PosedImage) -> String {
-        if self.format != Format::Png {
-            return String::new();
-        }
-        let mut rows = String::new();
-        for (landmark, found) in self.labeller.landmarks().iter().zip(self.labeller.keypoints(image)) {
-            let visibility = match found.visibility {
-                Visibility::Outside => continue,
-                Visibility::Hidden => "hidden",
-                Visibility::Visible => "visible",
-            };
-            let (name, at, sigma) = (&landmark.name, found.at, found.sigma_px);
-            let _ = writeln!(rows, "{file},{name},{:.3},{:.3},{sigma:.3},{visibility}", at.x, at.y);
-        }
-        rows
-    }
-
-    fn border_row(&self, file: &str, image: &PosedImage, classes: &[Class]) -> String {
-        if self.format != Format::Png {
-            return String::new();
-        }
-        let rows: Vec<String> = self.labeller.border(image, classes).iter().map(ToString::to_string).collect();
-        format!("{file},{}\n", rows.join(","))
+            Format::Png => return self.png().write_image(name, image, classes),
+        }?;
+        Ok(TableRows::default())
     }
 
     /// Writes what all images have together.
@@ -242,15 +200,7 @@ impl<'a> Job<'a> {
                 write(&folder.join("annotations.json"), &coco.text())?;
             }
             Format::Yolo | Format::YoloSeg | Format::YoloPose => self.write_yolo(done)?,
-            Format::Png => {
-                let rows = |of: fn(&Labelled) -> &str| done.iter().map(of).collect::<String>();
-                let keypoints = rows(|labelled| &labelled.keypoints);
-                write(&folder.join("keypoints.csv"), &format!("file,landmark,u,v,sigma_px,visibility\n{keypoints}"))?;
-                write(&folder.join("border.csv"), &rows(|labelled| &labelled.border))?;
-                let known = Class::KNOWN.iter().chain([&Class::Ignore]);
-                let names: String = known.map(|class| format!("{} {}\n", *class as u8, class.name())).collect();
-                write(&folder.join("classes.txt"), &names)?;
-            }
+            Format::Png => self.png().write_tables(done.iter().map(|labelled| &labelled.rows))?,
         }
         let pictures: Vec<(RgbImage, String)> =
             done.iter_mut().filter_map(|labelled| Some((labelled.preview.take()?, labelled.file.clone()))).collect();

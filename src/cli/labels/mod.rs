@@ -1,7 +1,11 @@
 //! Command `realitysim labels`: makes annotations for the training of detectors out of tags.
 
 mod dataset;
+mod of_view;
+mod png_form;
 mod preview;
+
+pub use of_view::label_view;
 
 use std::path::PathBuf;
 
@@ -25,7 +29,8 @@ use crate::recording::Loss;
 /// coco: images/ and annotations.json: areas of line, carpet, goal frame, net, hall and own body, boxes, and keypoints of the field.
 /// yolo: images/, labels/ and data.yaml with boxes around crossings, marks and goal posts. yolo-seg: outlines of lines. yolo-pose: the
 /// field as one object with all its landmarks.
-/// png: images/, classes/ (a gray picture for each image), keypoints.csv, border.csv (where the carpet begins in each column).
+/// png: images/, classes/ (a gray picture for each image), depth/ (16 bits, millimetres, 0 is not known), keypoints.csv, border.csv (where
+/// the carpet begins in each column). `realitysim view --labels` writes this form of a view.
 /// Each has preview.jpg to look at.
 #[derive(Args)]
 #[command(after_long_help = concat!(
@@ -49,6 +54,9 @@ pub struct LabelsArguments {
     #[arg(long, value_name = "M", default_value_t = TagLimits::default().sigma_m, value_parser = number(0.001..=1.0))]
     max_sigma: f64,
 }
+
+/// Folder of the images, from which YOLO's programs find the labels.
+const IMAGES: &str = "images";
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum Format {
