@@ -10,6 +10,7 @@ mod catalogue;
 mod check;
 mod db;
 mod demo;
+mod detector;
 mod doc_section;
 mod doctor;
 mod eval;

@@ -26,22 +26,28 @@
 //! ```
 
 mod annotation;
+mod appearance;
 mod class_list;
 mod class_map;
 pub mod coco;
+mod disagreement;
 mod goals;
 mod landmarks;
 mod outlines;
 mod paint;
 mod pose_covariance;
+mod sphere;
 pub mod yolo;
 
 pub use annotation::{Keypoint, LabelBox, Visibility};
+pub use appearance::Appearance;
 pub use class_list::{BOOSTER_CLASSES, ClassList, LANDMARK_CLASSES};
 pub use class_map::{Class, PosedImage};
+pub use disagreement::{Comparison, Detection, Disagreement, Fault};
 pub use landmarks::{Landmark, LandmarkKind, landmarks};
 pub use outlines::Outline;
 pub use pose_covariance::PoseCovariance;
+pub use sphere::{MIN_SHOWN_SHARE, NoBox, NoSphere, POINTING_SIGMA_PX, RestingSphere, SphereBox};
 
 use glam::DVec2;
 

@@ -8,7 +8,7 @@ use clap::Args;
 use image::RgbImage;
 use serde::Serialize;
 
-use super::detector;
+use crate::cli::detector::{number_in, run_detector};
 use crate::cli::paths::{check_output, save};
 use crate::cli::values::{number, whole};
 use crate::cli::{Outcome, output};
@@ -229,9 +229,9 @@ fn ask(command: &str, image: &Raster) -> anyhow::Result<f64> {
     let file = std::env::temp_dir().join(format!("realitysim-gap-{}.png", std::process::id()));
     let picture = RgbImage::from_raw(image.width as u32, image.height as u32, image.to_rgb()).unwrap_or_default();
     save(&picture, &file)?;
-    let number = detector::run_detector(command, &file);
+    let answer = run_detector(command, &file);
     let _ = std::fs::remove_file(&file);
-    number
+    number_in(&answer?).with_context(|| format!("--detector {command:?}"))
 }
 
 fn mean(rows: &[Row]) -> Row {

@@ -1,0 +1,88 @@
+//! The answer of a detector that finds landmarks: a line for each.
+
+use anyhow::{Context, ensure};
+use glam::DVec2;
+
+use super::shortened;
+use crate::labels::{ClassList, Detection, LandmarkKind};
+
+/// The landmarks in a detector's answer, `class u v [score]` or `class u_min v_min u_max v_max [score]` a line. The left upper corner of
+/// the picture is (0, 0), so that the first pixel's centre is (0.5, 0.5).
+///
+/// Of a box of a goal post the middle of the lower edge counts, of other boxes their middle. Classes of the list that no landmark has,
+/// such as a ball, are passed over.
+///
+/// # Errors
+///
+/// Fails if a line is anything else.
+pub fn detections_in(answer: &str, classes: ClassList) -> anyhow::Result<Vec<Detection>> {
+    let lines = answer.lines().map(str::trim).filter(|line| !line.is_empty());
+    let found = lines.map(|line| detection(line, classes).with_context(|| format!("printed {:?}", shortened(line))));
+    Ok(found.collect::<anyhow::Result<Vec<_>>>()?.into_iter().flatten().collect())
+}
+
+const FORM: &str = "class u v [score] or class u_min v_min u_max v_max [score] is needed";
+
+fn detection(line: &str, classes: ClassList) -> anyhow::Result<Option<Detection>> {
+    let mut words = line.split_whitespace();
+    let name = words.next().context(FORM)?;
+    let class = classes.names.iter().position(|known| *known == name);
+    let class = class.with_context(|| format!("the classes are {}", classes.names.join(", ")))?;
+    let numbers: Option<Vec<f64>> = words.map(|word| word.parse().ok().filter(|number: &f64| number.is_finite())).collect();
+    let is_post = classes.class(LandmarkKind::PostFoot) == Some(class);
+    let (at, score) = match numbers.context(FORM)?[..] {
+        [u, v] => (DVec2::new(u, v), 1.0),
+        [u, v, score] => (DVec2::new(u, v), score),
+        [left, top, right, bottom] => (place([left, top, right, bottom], is_post)?, 1.0),
+        [left, top, right, bottom, score] => (place([left, top, right, bottom], is_post)?, score),
+        _ => anyhow::bail!(FORM),
+    };
+    ensure!((0.0..=1.0).contains(&score), "a score is 0 to 1");
+    let has_landmarks = KINDS.into_iter().any(|kind| classes.class(kind) == Some(class));
+    Ok(has_landmarks.then_some(Detection { class, at: at - 0.5, score }))
+}
+
+/// The kinds of landmarks that may have a class.
+const KINDS: [LandmarkKind; 6] = [
+    LandmarkKind::LCrossing,
+    LandmarkKind::TCrossing,
+    LandmarkKind::XCrossing,
+    LandmarkKind::PenaltyMark,
+    LandmarkKind::Centre,
+    LandmarkKind::PostFoot,
+];
+
+/// The point of a box that is compared.
+fn place([left, top, right, bottom]: [f64; 4], is_post: bool) -> anyhow::Result<DVec2> {
+    ensure!(left <= right && top <= bottom, "the left upper corner comes first");
+    Ok(DVec2::new((left + right) / 2.0, if is_post { bottom } else { (top + bottom) / 2.0 }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::labels::{BOOSTER_CLASSES, LANDMARK_CLASSES};
+
+    #[test]
+    fn points_and_boxes_are_read_and_anything_else_is_named() {
+        let answer = "l_crossing 10.5 20.5\n\nt_crossing 0 0 10 20 0.5\ngoalpost 4 0 6 50\n x_crossing 1 2 0.25\n";
+        let at = |class, u, v, score| Detection { class, at: DVec2::new(u, v), score };
+        let expected = [at(0, 10.0, 20.0, 1.0), at(1, 4.5, 9.5, 0.5), at(5, 4.5, 49.5, 1.0), at(2, 0.5, 1.5, 0.25)];
+        assert_eq!(detections_in(answer, LANDMARK_CLASSES).unwrap(), expected);
+        assert_eq!(detections_in("Ball 1 2\nLCross 1 2", BOOSTER_CLASSES).unwrap(), [at(3, 0.5, 1.5, 1.0)]);
+        assert_eq!(detections_in("", LANDMARK_CLASSES).unwrap(), []);
+        for (line, said) in [
+            ("ball 1 2", "the classes are l_crossing, t_crossing"),
+            ("l_crossing", "is needed"),
+            ("l_crossing 1", "is needed"),
+            ("l_crossing 1 NaN", "is needed"),
+            ("l_crossing 1 2 3 4 5 6", "is needed"),
+            ("l_crossing 1 2 3", "a score is 0 to 1"),
+            ("l_crossing 5 5 1 1", "left upper corner"),
+            ("Traceback (most recent call last):", "the classes are"),
+        ] {
+            let error = format!("{:#}", detections_in(line, LANDMARK_CLASSES).expect_err(line));
+            assert!(error.contains(said) && error.contains(line), "{line}: {error}");
+        }
+    }
+}
