@@ -25,7 +25,8 @@ fn detector(room: &Room, name: &str, first: &str) {
 fn write_truth(room: &Room, change: impl Fn(usize, Vec<String>) -> Vec<String>) {
     const NAMES: [&str; 6] = ["l_crossing", "t_crossing", "x_crossing", "penalty_mark", "centre", "goalpost"];
     fs::create_dir_all(room.path("found")).unwrap();
-    let mut files: Vec<_> = fs::read_dir(room.path("yolo/labels")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut files: Vec<_> =
+        fs::read_dir(room.path("yolo/labels")).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.sort();
     for (place, file) in files.iter().enumerate() {
         let line = |line: &str| {
@@ -48,9 +49,7 @@ fn a_miss_and_a_false_detection_come_first() {
     write_truth(&room, |_, lines| lines);
     detector(&room, "detect.sh", "");
     let own = format!("sh {}", room.path("detect.sh").display());
-    let mine = |out: &str| {
-        room.run_words(&["labels", "mine", "db", "--detector", &own, "-o", out, "--json"], &[])
-    };
+    let mine = |out: &str| room.run_words(&["labels", "mine", "db", "--detector", &own, "-o", out, "--json"], &[]);
     let same = mine("same").succeeds().json();
     assert!(same["right"].as_u64() > Some(20) && same["displaced"] == 0 && same["false"] == 0, "{same}");
     assert!(fs::exists(room.path("same/disagreements.csv")).unwrap());

@@ -20,7 +20,8 @@ const ROLLING: DVec3 = DVec3::new(-0.9, -0.4, 0.07);
 fn scene(keep: impl Fn(&str) -> bool) -> Scene {
     let lines = SCENE.lines().filter(|line| !line.trim_start().starts_with("{ shape") || keep(line));
     let text = lines.collect::<Vec<_>>().join("\n");
-    let lens = load_lens(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/replay/lens.toml")).unwrap().lens;
+    let lens =
+        load_lens(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/replay/lens.toml")).unwrap().lens.parameters().clone();
     Scene::build(SceneFile::from_toml(&text).unwrap(), load_field("kid-2009").unwrap(), lens).unwrap()
 }
 
@@ -96,9 +97,14 @@ fn a_click_gives_the_boxes_of_the_renderer_where_the_ball_is_seen() {
     let (room, session, truth) = recorded();
     let at = truth.pixel(3, STILL);
     let click = format!("--at 3,{:.1},{:.1},0.07", at.x, at.y);
-    let report = room.run(&format!("labels propagate {session} {click} --format coco -o coco --json")).succeeds().json();
+    let report =
+        room.run(&format!("labels propagate {session} {click} --format coco -o coco --json")).succeeds().json();
     let coco: Value = serde_json::from_slice(&fs::read(room.path("coco/annotations.json")).unwrap()).unwrap();
-    let boxes: HashMap<u64, [DVec2; 2]> = coco["images"].as_array().unwrap().iter().zip(coco["annotations"].as_array().unwrap())
+    let boxes: HashMap<u64, [DVec2; 2]> = coco["images"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .zip(coco["annotations"].as_array().unwrap())
         .map(|(image, annotation)| {
             assert_eq!(image["id"], annotation["image_id"]);
             let frame = image["file_name"].as_str().unwrap()[..6].parse().unwrap();
@@ -111,7 +117,11 @@ fn a_click_gives_the_boxes_of_the_renderer_where_the_ball_is_seen() {
     for row in report["seen"].as_array().unwrap() {
         let (frame, labelled) = (row["frame"].as_u64().unwrap(), row["labelled"] == true);
         let seen = truth.seen(frame).unwrap();
-        println!("{frame}: similarity {:.2}, {:.0} % hidden", row["similarity"].as_f64().unwrap(), 100.0 * seen.hidden_share);
+        println!(
+            "{frame}: similarity {:.2}, {:.0} % hidden",
+            row["similarity"].as_f64().unwrap(),
+            100.0 * seen.hidden_share
+        );
         if labelled && seen.hidden_share == 0.0 {
             worst = worst.min(overlap(boxes[&frame], [seen.from, seen.to]));
         }
@@ -154,7 +164,7 @@ fn a_ball_that_rolls_away_is_said_to_be_gone() {
 fn a_click_that_means_no_ball_is_told_why_and_leaves_nothing() {
     let room = Room::with_walk();
     let session = session_name(&room.replay("log.mcap"));
-    let mut refused = |arguments: &str, code: i32, said: &[&str]| {
+    let refused = |arguments: &str, code: i32, said: &[&str]| {
         room.run(&format!("labels propagate {arguments} --format coco -o none")).fails(code, said);
         let left = fs::read_dir(room.path("none")).map_or(0, |entries| entries.count());
         assert_eq!(left, 0, "{arguments}");

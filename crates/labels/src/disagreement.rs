@@ -4,17 +4,39 @@ use glam::{DVec2, DVec3};
 
 use crate::annotation::{Keypoint, LabelBox, Seen, Visibility};
 use crate::class_map::SIGMAS;
-use crate::{ClassList, Labeller, PosedImage};
+use crate::{ClassList, Labeller, LandmarkKind, PosedImage};
 
 /// A landmark that a detector has found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detection {
     /// Number of its class.
     pub class: usize,
-    /// Where it is, of a goal post its foot, pixels; the first pixel's centre is (0, 0).
+    /// Where it is, pixels; the first pixel's centre is (0, 0).
     pub at: DVec2,
+    /// Whether `at` is that of a box, which is compared with the landmark's box: the middle of a box is not the landmark.
+    pub is_box: bool,
     /// How sure the detector is, 0 to 1.
     pub score: f64,
+}
+
+impl Detection {
+    /// A landmark found as a point, in pixels of which the left upper corner of the image is (0, 0).
+    pub fn point(class: usize, at: DVec2, score: f64) -> Self {
+        Self { class, at: at - 0.5, is_box: false, score }
+    }
+
+    /// A landmark found as a box with these corners, in the same pixels.
+    pub fn of_box(classes: ClassList, class: usize, [from, to]: [DVec2; 2], score: f64) -> Self {
+        let is_post = classes.class(LandmarkKind::PostFoot) == Some(class);
+        Self { class, at: anchor(from, to, is_post) - 0.5, is_box: true, score }
+    }
+}
+
+/// The point of a box that is compared: of a goal post the middle of the lower edge, since detectors differ in how much of it they take,
+/// else the middle.
+fn anchor(from: DVec2, to: DVec2, is_post: bool) -> DVec2 {
+    let middle = (from + to) / 2.0;
+    if is_post { middle.with_y(to.y) } else { middle }
 }
 
 /// How a detector is wrong.
@@ -119,6 +141,18 @@ struct Truth {
     label_box: Option<LabelBox>,
 }
 
+impl Truth {
+    /// Where a detection of it should be.
+    fn place(&self, detection: &Detection) -> DVec2 {
+        let own_box = self.label_box.filter(|_| detection.is_box);
+        own_box.map_or(self.keypoint.at, |own| anchor(own.from, own.to, own.kind == LandmarkKind::PostFoot) - 0.5)
+    }
+
+    fn distance(&self, detection: &Detection) -> f64 {
+        self.place(detection).distance(detection.at)
+    }
+}
+
 /// Holds detections against the truth of one image.
 struct Judge<'a> {
     seen: Seen<'a>,
@@ -138,7 +172,7 @@ impl Judge<'_> {
         for (place, truth) in self.truths.iter().enumerate() {
             let reach = DISPLACED_FACTOR * self.tolerance(truth.keypoint.sigma_px);
             for (which, detection) in found.iter().enumerate().filter(|(_, found)| found.class == truth.class) {
-                let off = truth.keypoint.at.distance(detection.at);
+                let off = truth.distance(detection);
                 if off <= reach {
                     near.push((off, place, which));
                 }
@@ -156,11 +190,11 @@ impl Judge<'_> {
 
     /// What is wrong about a landmark, with the detection that may be it.
     fn fault(&self, truth: &Truth, detection: Option<&Detection>) -> Option<Disagreement> {
-        let Keypoint { at, sigma_px, visibility } = truth.keypoint;
+        let Keypoint { sigma_px, visibility, .. } = truth.keypoint;
         let label_box = truth.label_box.filter(|_| visibility == Visibility::Visible);
         let plain = label_box.map_or(0.0, |label_box| self.plainness(&truth.keypoint, &label_box));
         let known = self.within_px / self.tolerance(sigma_px);
-        let (fault, certainty) = match detection.map(|detection| detection.at.distance(at)) {
+        let (fault, certainty) = match detection.map(|detection| truth.distance(detection)) {
             None if label_box.is_some() => (Fault::Missed, plain * known),
             Some(off) if off > self.tolerance(sigma_px) && label_box.is_some() => {
                 (Fault::Displaced, plain * known * (1.0 - self.tolerance(sigma_px) / off))
@@ -168,8 +202,9 @@ impl Judge<'_> {
             _ => return None,
         };
         let found = detection.map(|detection| detection.at);
+        let place = detection.map_or(truth.keypoint.at, |detection| truth.place(detection));
         let (class, landmark) = (truth.class, Some(truth.landmark));
-        Some(Disagreement { fault, class, landmark, truth: Some(at), found, sigma_px, certainty })
+        Some(Disagreement { fault, class, landmark, truth: Some(place), found, sigma_px, certainty })
     }
 
     /// How plainly a landmark is in view, 0 to 1: large, nothing before it, and not at the edge.
@@ -185,7 +220,7 @@ impl Judge<'_> {
     fn false_detection(&self, detection: &Detection) -> Disagreement {
         let sigma_px = self.seen.ground(detection.at).map_or(0.0, |at: DVec3| self.seen.sigma_px(at, detection.at));
         let tolerance = self.tolerance(sigma_px);
-        let distance = |truth: &Truth| truth.keypoint.at.distance(detection.at);
+        let distance = |truth: &Truth| truth.distance(detection);
         let same = self.truths.iter().filter(|truth| truth.class == detection.class).map(distance);
         let apart = same.fold(f64::INFINITY, f64::min);
         let here = self.truths.iter().filter(|truth| truth.class != detection.class && distance(truth) <= tolerance);
@@ -212,8 +247,7 @@ mod tests {
 
     const WITHIN_PX: f64 = 5.0;
 
-    /// Compares what `detect` makes of the landmarks in plain view with the truth.
-    fn compare(detect: impl Fn(Vec<Detection>) -> Vec<Detection>) -> (usize, Comparison) {
+    fn with_image<T>(use_it: impl Fn(&Labeller, &PosedImage) -> T) -> T {
         let camera = Camera::new(&load_lens("fisheye-640").unwrap().lens);
         let labeller = Labeller::new(&Field::new(load_field("kid-2020").unwrap()).unwrap(), true);
         let euler = Euler { yaw: 0.1, pitch: 30f64.to_radians(), roll: 0.02 };
@@ -224,12 +258,19 @@ mod tests {
             shown: &vec![SURE; camera.width() * camera.height()],
             body: &[],
         };
-        let truths = labeller.truths(&image, LANDMARK_CLASSES);
-        let plain = truths.iter().filter(|t| t.label_box.is_some() && t.keypoint.visibility == Visibility::Visible);
-        let all: Vec<Detection> =
-            plain.map(|truth| Detection { class: truth.class, at: truth.keypoint.at, score: 1.0 }).collect();
-        let count = all.len();
-        (count, labeller.compare(&image, LANDMARK_CLASSES, &detect(all), WITHIN_PX))
+        use_it(&labeller, &image)
+    }
+
+    /// Compares what `detect` makes of the landmarks in plain view with the truth.
+    fn compare(detect: impl Fn(Vec<Detection>) -> Vec<Detection>) -> (usize, Comparison) {
+        with_image(|labeller, image| {
+            let truths = labeller.truths(image, LANDMARK_CLASSES);
+            let plain = truths.iter().filter(|t| t.label_box.is_some() && t.keypoint.visibility == Visibility::Visible);
+            let all: Vec<Detection> =
+                plain.map(|truth| Detection::point(truth.class, truth.keypoint.at + 0.5, 1.0)).collect();
+            let count = all.len();
+            (count, labeller.compare(image, LANDMARK_CLASSES, &detect(all), WITHIN_PX))
+        })
     }
 
     #[test]
@@ -241,6 +282,19 @@ mod tests {
         for found in none.disagreements {
             assert!(found.fault == Fault::Missed && (0.0..=1.0).contains(&found.certainty), "{found:?}");
         }
+    }
+
+    #[test]
+    fn the_boxes_of_the_labels_agree_with_the_labels() {
+        with_image(|labeller, image| {
+            let boxes = labeller.boxes(image).into_iter().filter_map(|own| {
+                let class = LANDMARK_CLASSES.class(own.kind)?;
+                Some(Detection::of_box(LANDMARK_CLASSES, class, [own.from, own.to], 1.0))
+            });
+            let found: Vec<Detection> = boxes.collect();
+            let compared = labeller.compare(image, LANDMARK_CLASSES, &found, 0.5);
+            assert!(compared.right.len() == found.len() && compared.disagreements.is_empty(), "{compared:?}");
+        });
     }
 
     #[test]

@@ -9,8 +9,7 @@ use crate::labels::{ClassList, Detection, LandmarkKind};
 /// The landmarks in a detector's answer, `class u v [score]` or `class u_min v_min u_max v_max [score]` a line. The left upper corner of
 /// the picture is (0, 0), so that the first pixel's centre is (0.5, 0.5).
 ///
-/// Of a box of a goal post the middle of the lower edge counts, of other boxes their middle. Classes of the list that no landmark has,
-/// such as a ball, are passed over.
+/// Classes of the list that no landmark has, such as a ball, are passed over.
 ///
 /// # Errors
 ///
@@ -28,18 +27,22 @@ fn detection(line: &str, classes: ClassList) -> anyhow::Result<Option<Detection>
     let name = words.next().context(FORM)?;
     let class = classes.names.iter().position(|known| *known == name);
     let class = class.with_context(|| format!("the classes are {}", classes.names.join(", ")))?;
-    let numbers: Option<Vec<f64>> = words.map(|word| word.parse().ok().filter(|number: &f64| number.is_finite())).collect();
-    let is_post = classes.class(LandmarkKind::PostFoot) == Some(class);
-    let (at, score) = match numbers.context(FORM)?[..] {
-        [u, v] => (DVec2::new(u, v), 1.0),
-        [u, v, score] => (DVec2::new(u, v), score),
-        [left, top, right, bottom] => (place([left, top, right, bottom], is_post)?, 1.0),
-        [left, top, right, bottom, score] => (place([left, top, right, bottom], is_post)?, score),
+    let numbers: Option<Vec<f64>> =
+        words.map(|word| word.parse().ok().filter(|number: &f64| number.is_finite())).collect();
+    let of_box = |[left, top, right, bottom]: [f64; 4], score: f64| {
+        ensure!(left <= right && top <= bottom, "the left upper corner comes first");
+        Ok(Detection::of_box(classes, class, [DVec2::new(left, top), DVec2::new(right, bottom)], score))
+    };
+    let found = match numbers.context(FORM)?[..] {
+        [u, v] => Detection::point(class, DVec2::new(u, v), 1.0),
+        [u, v, score] => Detection::point(class, DVec2::new(u, v), score),
+        [left, top, right, bottom] => of_box([left, top, right, bottom], 1.0)?,
+        [left, top, right, bottom, score] => of_box([left, top, right, bottom], score)?,
         _ => anyhow::bail!(FORM),
     };
-    ensure!((0.0..=1.0).contains(&score), "a score is 0 to 1");
+    ensure!((0.0..=1.0).contains(&found.score), "a score is 0 to 1");
     let has_landmarks = KINDS.into_iter().any(|kind| classes.class(kind) == Some(class));
-    Ok(has_landmarks.then_some(Detection { class, at: at - 0.5, score }))
+    Ok(has_landmarks.then_some(found))
 }
 
 /// The kinds of landmarks that may have a class.
@@ -52,12 +55,6 @@ const KINDS: [LandmarkKind; 6] = [
     LandmarkKind::PostFoot,
 ];
 
-/// The point of a box that is compared.
-fn place([left, top, right, bottom]: [f64; 4], is_post: bool) -> anyhow::Result<DVec2> {
-    ensure!(left <= right && top <= bottom, "the left upper corner comes first");
-    Ok(DVec2::new((left + right) / 2.0, if is_post { bottom } else { (top + bottom) / 2.0 }))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -66,10 +63,11 @@ mod tests {
     #[test]
     fn points_and_boxes_are_read_and_anything_else_is_named() {
         let answer = "l_crossing 10.5 20.5\n\nt_crossing 0 0 10 20 0.5\ngoalpost 4 0 6 50\n x_crossing 1 2 0.25\n";
-        let at = |class, u, v, score| Detection { class, at: DVec2::new(u, v), score };
-        let expected = [at(0, 10.0, 20.0, 1.0), at(1, 4.5, 9.5, 0.5), at(5, 4.5, 49.5, 1.0), at(2, 0.5, 1.5, 0.25)];
+        let at = |class, u, v, is_box, score| Detection { class, at: DVec2::new(u, v), is_box, score };
+        let points = [at(0, 10.0, 20.0, false, 1.0), at(2, 0.5, 1.5, false, 0.25)];
+        let expected = [points[0], at(1, 4.5, 9.5, true, 0.5), at(5, 4.5, 49.5, true, 1.0), points[1]];
         assert_eq!(detections_in(answer, LANDMARK_CLASSES).unwrap(), expected);
-        assert_eq!(detections_in("Ball 1 2\nLCross 1 2", BOOSTER_CLASSES).unwrap(), [at(3, 0.5, 1.5, 1.0)]);
+        assert_eq!(detections_in("Ball 1 2\nLCross 1 2", BOOSTER_CLASSES).unwrap(), [at(3, 0.5, 1.5, false, 1.0)]);
         assert_eq!(detections_in("", LANDMARK_CLASSES).unwrap(), []);
         for (line, said) in [
             ("ball 1 2", "the classes are l_crossing, t_crossing"),

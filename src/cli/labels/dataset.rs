@@ -10,17 +10,15 @@ use image::{GrayImage, RgbImage};
 use super::super::opened_database::OpenedDatabase;
 use super::super::output;
 use super::super::paths::{make_folder, write, write_bytes};
-use super::preview::{PREVIEWS, preview, sheet};
-use super::yolo_set::write_yolo_set;
 use super::make::{Classes, Format, MakeArguments, Report};
 use super::posed_images::{IMAGES, PosedImages};
+use super::preview::{PREVIEWS, preview, sheet};
+use super::yolo_set::write_yolo_set;
 use crate::database::training_set::precise_records;
 use crate::database::{ImageDatabase, Record, in_parallel};
 use crate::labels::coco::{Coco, CocoImage};
 use crate::labels::yolo;
-use crate::labels::{
-    Class, ClassList, Labeller, PosedImage, Visibility,
-};
+use crate::labels::{Class, ClassList, Labeller, PosedImage, Visibility};
 use crate::recording::Loss;
 
 /// Images that are labelled before their results are put together.

@@ -30,7 +30,13 @@ impl<'a> PosedImages<'a> {
     pub(super) fn posed<'b>(&'b self, record: &Record, shown: &'b [u8]) -> Result<PosedImage<'b>, String> {
         let camera = self.database.camera(record).ok_or_else(|| "an image without a lens".to_owned())?;
         let covariance = self.covariance(record);
-        Ok(PosedImage { camera, map_from_link: record.pose(), covariance, shown, body: self.database.body(record.source) })
+        Ok(PosedImage {
+            camera,
+            map_from_link: record.pose(),
+            covariance,
+            shown,
+            body: self.database.body(record.source),
+        })
     }
 
     /// The covariance of the tag, or what the database knows of it.

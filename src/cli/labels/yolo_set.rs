@@ -15,8 +15,7 @@ pub(super) fn write_yolo_set(folder: &Path, files: &[&str], more: &str, names: &
     };
     write(&folder.join("train.txt"), &list(false))?;
     write(&folder.join("val.txt"), &list(true))?;
-    let mut text =
-        format!("# Labels made by `realitysim labels`.\ntrain: train.txt\nval: val.txt\n{more}names:\n");
+    let mut text = format!("# Labels made by `realitysim labels`.\ntrain: train.txt\nval: val.txt\n{more}names:\n");
     names.iter().enumerate().for_each(|(number, name)| _ = writeln!(text, "  {number}: {name}"));
     write(&folder.join("data.yaml"), &text)
 }

@@ -32,7 +32,7 @@ use asking::Judged;
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Example:",
-    "\n  realitysim labels mine images/ --detector \"python3 detect.py\" -o mined/",
+    "\n  realitysim labels mine images/ --detector ./detect.py -o mined/",
 ))]
 pub struct MineArguments {
     /// A capture's folder, one of its segments, or a database's folder

@@ -60,11 +60,14 @@ pub(super) fn find(images: &PosedImages, input: &Path, click: Click) -> anyhow::
     let database = images.database();
     let [source] = &database.contents().sources[..] else {
         let count = database.contents().sources.len();
-        let what = format!("{input}: holds {count} sources, and --at counts the frames of one capture: name that capture");
+        let what =
+            format!("{input}: holds {count} sources, and --at counts the frames of one capture: name that capture");
         return Err(UsageError(what).into());
     };
     if source.kind == SourceKind::Folder {
-        return Err(UsageError(format!("{input}: holds images of a folder, which have no frames: name a capture")).into());
+        return Err(
+            UsageError(format!("{input}: holds images of a folder, which have no frames: name a capture")).into()
+        );
     }
     let (_, tags) = best_tags(&source.path)?;
     let frames = frames(images, &tags.found);
@@ -74,11 +77,15 @@ pub(super) fn find(images: &PosedImages, input: &Path, click: Click) -> anyhow::
     let picture = database.image(clicked.number).map_err(anyhow::Error::msg).with_context(named)?;
     let shown = picture.full().mask();
     let image = images.posed(&clicked.record, &shown).map_err(anyhow::Error::msg)?;
-    let sphere = RestingSphere::find(&image, click.at, click.radius_m)
-        .map_err(|why| UsageError(format!("--at: frame {}, pixel {}, {}: {why}", click.frame, click.at.x, click.at.y)))?;
+    let sphere = RestingSphere::find(&image, click.at, click.radius_m).map_err(|why| {
+        UsageError(format!("--at: frame {}, pixel {}, {}: {why}", click.frame, click.at.x, click.at.y))
+    })?;
     check_place(&sphere, database.field().carpet_half_extent())?;
     let appearance = Appearance::of(&sphere, &image, picture.full()).with_context(|| {
-        format!("--at: frame {} shows too little around the object: point at it where all of it is in the picture", click.frame)
+        format!(
+            "--at: frame {} shows too little around the object: point at it where all of it is in the picture",
+            click.frame
+        )
     })?;
     Ok(Clicked { sphere, appearance, frames })
 }
@@ -117,7 +124,9 @@ fn no_such_frame(tags: &[FrameTag], frames: &[Frame], wanted: u64) -> String {
     let nearest = nearest.map_or(String::new(), |frame| format!("; the nearest that has is {}", frame.sequence));
     match tags.iter().find(|tag| tag.sequence == wanted) {
         Some(tag) if !tag.valid => format!("--at: frame {wanted} has no valid pose ({}){nearest}", tag.reason),
-        Some(_) => format!("--at: frame {wanted} has no image, or its pose may be that of the other half of the field{nearest}"),
+        Some(_) => format!(
+            "--at: frame {wanted} has no image, or its pose may be that of the other half of the field{nearest}"
+        ),
         None => {
             let last = tags.iter().map(|tag| tag.sequence).max().unwrap_or_default();
             format!("--at: there is no frame {wanted}; the frames are 0 to {last}")

@@ -88,7 +88,8 @@ impl Files<'_> {
         let objects = some(sightings.iter().filter(is_object).collect(), SHOWN);
         let others = some(sightings.iter().filter(is_other).collect(), SHOWN_OTHERS);
         for sighting in objects.into_iter().chain(others) {
-            let (Finding::Object(found, similarity) | Finding::SomethingElse(found, similarity)) = &sighting.finding else {
+            let (Finding::Object(found, similarity) | Finding::SomethingElse(found, similarity)) = &sighting.finding
+            else {
                 continue;
             };
             let picture = images.database().image(sighting.frame.number).map_err(anyhow::Error::msg)?;

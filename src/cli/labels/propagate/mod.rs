@@ -34,7 +34,7 @@ use standing::Standing;
 #[derive(Args)]
 #[command(after_long_help = concat!(
     "Example:",
-    "\n  realitysim labels propagate captures/2026-11-21T10-00-00Z-robot --at 42,311,207,0.07 -o ball/ --format coco",
+    "\n  realitysim labels propagate images/ --at 42,311,207,0.07 --format coco -o ball/",
 ))]
 pub struct PropagateArguments {
     /// A capture's folder, or the folder of a database of one capture
@@ -123,7 +123,10 @@ pub fn run(arguments: &PropagateArguments, json: bool) -> anyhow::Result<Outcome
     let (from_s, to_s) = (from.unwrap_or(0.0), to.unwrap_or(f64::INFINITY));
     // Written so that a NaN is refused, too.
     if !(from_s >= 0.0 && to_s > from_s) {
-        return Err(UsageError(format!("--from {from_s} --to {to_s}: the time begins at 0 or later and ends after that")).into());
+        return Err(UsageError(format!(
+            "--from {from_s} --to {to_s}: the time begins at 0 or later and ends after that"
+        ))
+        .into());
     }
     own_folder(output)?;
     let report = propagate(arguments, from_s..=to_s);
@@ -160,8 +163,7 @@ fn report(arguments: &PropagateArguments, clicked: &click::Clicked, sightings: &
     let standing = Standing::of(sightings.iter().filter_map(Sighting::seen));
     let mut sigmas: Vec<f64> = sightings.iter().filter_map(|s| Some(s.labelled()?.sigma_px)).collect();
     sigmas.sort_by(f64::total_cmp);
-    let (labelled, something_else) =
-        (sigmas.len(), count(|finding| matches!(finding, Finding::SomethingElse(..))));
+    let (labelled, something_else) = (sigmas.len(), count(|finding| matches!(finding, Finding::SomethingElse(..))));
     Report {
         output: arguments.output.clone(),
         x: clicked.sphere.centre.x,
@@ -193,7 +195,8 @@ fn seen_row(sighting: &Sighting) -> Option<SeenRow> {
 
 fn text(report: &Report, class: &str) -> String {
     let Report { output, x, y, in_view, labelled, uncertain, small, sigma_px, .. } = report;
-    let mut text = format!("the {class} stands at {x:.2}, {y:.2} m; of {in_view} frames that should see it {labelled} do");
+    let mut text =
+        format!("the {class} stands at {x:.2}, {y:.2} m; of {in_view} frames that should see it {labelled} do");
     if let Some(until) = report.absent_until_s {
         text += &format!("; before {until:.1} s it is not there");
     }
@@ -204,7 +207,9 @@ fn text(report: &Report, class: &str) -> String {
         text += &format!("\nboxes are known to {sigma:.2} px (median)");
     }
     if uncertain + small > 0 {
-        text += &format!("\nleft out besides: {uncertain} frames whose poses do not say well enough where it is, {small} in which it is too small");
+        text += &format!(
+            "\nleft out besides: {uncertain} frames whose poses do not say well enough where it is, {small} in which it is too small"
+        );
     }
     text + &format!("\n{}", output.join("preview.jpg").display())
 }

@@ -64,9 +64,8 @@ pub(super) fn look(
     let mut sightings = Vec::with_capacity(frames.len());
     for part in frames.chunks(BATCH) {
         progress.set(sightings.len() as u64, Some(frames.len() as u64));
-        let findings = in_parallel(part.len(), |place| {
-            finding(images, clicked, &part[place]).unwrap_or_else(Finding::Unreadable)
-        });
+        let findings =
+            in_parallel(part.len(), |place| finding(images, clicked, &part[place]).unwrap_or_else(Finding::Unreadable));
         sightings.extend(part.iter().zip(findings).map(|(frame, finding)| Sighting { frame: *frame, finding }));
     }
     progress.finish();
