@@ -32,12 +32,12 @@ fn thirty_frames_a_second_of_640_by_480() {
     let socket = recorder.room.path("camera.sock");
     let _line = robot.listens();
     let walking = std::thread::spawn(move || robot.walk(&socket));
-    recorder.waits_for("the walk begins", 30, |status| status["counts"]["tagged"].as_u64() > Some(30));
+    recorder.waits_for("the walk begins", |status| status["counts"]["tagged"].as_u64() > Some(30));
     let process = recorder.process.as_ref().expect("running").id();
     let (began, cpu_s) = (std::time::Instant::now(), cpu_s(process));
     let (_, _robot) = walking.join().expect("walked");
     let share = (self::cpu_s(process) - cpu_s) / began.elapsed().as_secs_f64();
-    recorder.waits_for("all frames", 20, |status| status["counts"]["tagged"].as_u64() == Some(frames));
+    recorder.waits_for("all frames", |status| status["counts"]["tagged"].as_u64() == Some(frames));
     let status = recorder.asks("status");
     let counts = &status["counts"];
     let peak_mb = peak_mb(process);
@@ -72,7 +72,7 @@ fn being_watched_costs_less_than_two_percent_of_a_core_and_no_frame() {
     let _line = robot.listens();
     let walking = std::thread::spawn(move || robot.walk(&socket));
     // To begin with the whole field is searched, which costs more than anything later.
-    recorder.waits_for("it follows its pose", 60, |status| status["counts"]["valid"].as_u64() > Some(30));
+    recorder.waits_for("it follows its pose", |status| status["counts"]["valid"].as_u64() > Some(30));
     let process = recorder.process.as_ref().expect("running").id();
     let tagged = || recorder.asks("status")["counts"]["tagged"].as_u64().unwrap_or(0);
     let share = |looks: &dyn Fn()| {

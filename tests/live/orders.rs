@@ -2,21 +2,20 @@
 
 use std::time::Duration;
 
-use super::recorder::Recorder;
+use super::recorder::{PATIENCE, Recorder};
 use super::robot::Robot;
 use crate::replay::support::{CAPTURES, Room, walk};
 
 #[test]
 fn a_session_can_be_stopped_and_another_begun() {
     let mut recorder = Recorder::start(None);
-    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    recorder.waits_for("it runs", |status| status["state"] == "recording");
     let stopped = recorder.asks("stop");
     assert_eq!(stopped["state"], "stopped");
     let first = stopped["session"].as_str().expect("a session").to_owned();
     assert!(recorder.room.path(&first).join("0000.mcap").is_file(), "whole, while the recorder runs");
     assert_eq!(recorder.asks("start")["state"], "recording");
-    recorder
-        .waits_for("another session", 5, |status| status["session"].as_str().is_some_and(|session| session != first));
+    recorder.waits_for("another session", |status| status["session"].as_str().is_some_and(|session| session != first));
     let status = recorder.asks("status");
     assert_eq!((&status["earlier"]["sessions"], &status["earlier"]["unfinished"]), (&1.into(), &0.into()), "{status}");
     assert!(recorder.ends().status.success());
@@ -29,7 +28,7 @@ fn a_session_can_be_stopped_and_another_begun() {
 fn who_orders_a_stop_before_the_first_session_is_obeyed() {
     let robot = Robot::of(&walk().messages);
     let mut recorder = Recorder::start(Some(robot.tty()));
-    recorder.waits_for("it answers", 30, |status| status["state"] == "listening");
+    recorder.waits_for("it answers", |status| status["state"] == "listening");
     assert_eq!(recorder.asks("stop")["state"], "stopped");
     std::thread::sleep(Duration::from_secs(3));
     assert_eq!(recorder.asks("status")["state"], "stopped");
@@ -41,7 +40,7 @@ fn who_orders_a_stop_before_the_first_session_is_obeyed() {
 fn who_is_ended_before_the_first_session_leaves_none() {
     let robot = Robot::of(&walk().messages);
     let mut recorder = Recorder::start(Some(robot.tty()));
-    recorder.waits_for("it answers", 30, |status| status["state"] == "listening");
+    recorder.waits_for("it answers", |status| status["state"] == "listening");
     assert!(recorder.ends().status.success());
     let sessions = std::fs::read_dir(recorder.room.path(CAPTURES)).into_iter().flatten().flatten();
     assert_eq!(sessions.filter(|entry| entry.path().is_dir()).count(), 0);
@@ -51,7 +50,7 @@ fn who_is_ended_before_the_first_session_leaves_none() {
 #[test]
 fn a_signal_that_comes_twice_is_one() {
     let mut recorder = Recorder::start(None);
-    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    recorder.waits_for("it runs", |status| status["state"] == "recording");
     let process = recorder.process.as_ref().expect("running").id();
     let id = rustix::process::Pid::from_raw(process as i32).expect("a process");
     rustix::process::kill_process(id, rustix::process::Signal::TERM).expect("alive");
@@ -64,7 +63,7 @@ fn a_signal_that_comes_twice_is_one() {
 #[test]
 fn orders_are_taken_whole_or_not_at_all() {
     let mut recorder = Recorder::start(None);
-    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    recorder.waits_for("it runs", |status| status["state"] == "recording");
     let order = |line: &str| recorder.room.run(&format!("recorder {line} --socket control.sock"));
     order(&format!("mark {}stop", "a".repeat(4091))).fails(1, &["an order has at most 4096 bytes"]);
     order(&format!("mark {}", "é".repeat(3000))).fails(1, &["an order has at most 4096 bytes"]);
@@ -105,22 +104,32 @@ fn orders_are_taken_whole_or_not_at_all() {
     assert!(recorder.ends().status.success());
 }
 
+/// Whether a process has opened a connection, beside its three streams.
+fn has_a_socket(process: &std::process::Child) -> bool {
+    let open = std::fs::read_dir(format!("/proc/{}/fd", process.id())).into_iter().flatten().flatten();
+    let sockets = open.filter_map(|file| std::fs::read_link(file.path()).ok());
+    sockets.filter(|to| to.to_string_lossy().starts_with("socket:")).count() > 0
+}
+
 #[test]
 fn what_a_kill_left_is_finished_when_the_next_recording_starts() {
     let mut recorder = Recorder::start(None);
-    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    recorder.waits_for("it runs", |status| status["state"] == "recording");
     let torn = recorder.asks("status")["session"].as_str().expect("a session").to_owned();
+    let active = recorder.room.path(&torn).join("0000.mcap.active");
     let listener = recorder.listens_to_poses();
-    // It has asked, and is listening.
-    std::thread::sleep(std::time::Duration::from_millis(500));
+    let began = std::time::Instant::now();
+    while !(active.is_file() && has_a_socket(&listener)) {
+        assert!(began.elapsed() < PATIENCE, "no segment, or nobody who listens");
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
     let mut process = recorder.process.take().expect("running");
     process.kill().expect("alive");
     process.wait().expect("ended");
     assert_eq!(listener.wait_with_output().expect("ended").status.code(), Some(1), "nobody ended the recording");
-    let active = recorder.room.path(&torn).join("0000.mcap.active");
     assert!(active.is_file(), "never finished");
     recorder.process = Some(Recorder::process(&recorder.room, "-2.06,0.153,14.5"));
-    recorder.waits_for("it is told", 30, |status| status["repaired"].as_array().is_some_and(|all| !all.is_empty()));
+    recorder.waits_for("it is told", |status| status["repaired"].as_array().is_some_and(|all| !all.is_empty()));
     assert!(!active.exists());
     recorder.room.run(&format!("sessions verify {torn}")).succeeds();
     assert!(recorder.ends().status.success());
@@ -145,7 +154,7 @@ fn a_connection_that_cannot_be_accepted_is_not_the_last() {
     use rustix::process::{Pid, Resource, Rlimit, prlimit};
 
     let mut recorder = Recorder::start(None);
-    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    recorder.waits_for("it runs", |status| status["state"] == "recording");
     let process = recorder.process.as_ref().expect("running").id();
     let process = Pid::from_raw(process as i32);
     let socket = recorder.room.path("control.sock");

@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 use std::time::{Duration, Instant};
 
 use super::doctor::{Board, odometry};
-use super::recorder::{CONFIG, Recorder};
+use super::recorder::{CONFIG, PATIENCE, Recorder};
 use crate::replay::support::{CAPTURES, Room, decode_all, read_capture};
 use crate::serial::Cable;
 use realitysim::ros2::messages::DiagnosticArray;
@@ -15,14 +15,14 @@ fn a_port_that_is_silent_garbled_or_useless_is_named_until_it_is_right() {
     let tty = cable.ends[1].clone();
     let mut recorder = Recorder::start(Some(&tty));
     let cause = |status: &serde_json::Value| status["ports"][&tty]["trouble"]["cause"].clone();
-    recorder.waits_for("silent", 30, |status| cause(status) == "silent");
+    recorder.waits_for("silent", |status| cause(status) == "silent");
     let said = recorder.room.run("recorder status --socket control.sock").succeeds().stdout;
     assert!(said.contains(&format!("{tty}: TROUBLE: silent")) && said.contains("tags: none yet"), "{said}");
 
     let mut line = std::fs::OpenOptions::new().write(true).open(&cable.ends[0]).expect("the line");
     let began = Instant::now();
     while cause(&recorder.asks("status")) != "no_messages" {
-        assert!(began.elapsed() < Duration::from_secs(20), "{}", recorder.asks("status"));
+        assert!(began.elapsed() < PATIENCE, "{}", recorder.asks("status"));
         line.write_all(b"$GPGGA,no MAVLink at all\r\n").expect("sent");
         std::thread::sleep(Duration::from_millis(50));
     }
@@ -35,10 +35,10 @@ fn a_port_that_is_silent_garbled_or_useless_is_named_until_it_is_right() {
         other => other,
     };
     let board = Board::at(&cable.ends[0], 1, crooked);
-    recorder.waits_for("useless", 20, |status| cause(status) == "unusable");
+    recorder.waits_for("useless", |status| cause(status) == "unusable");
     drop(board);
     let board = Board::at(&cable.ends[0], 1, odometry);
-    recorder.waits_for("right", 40, |status| cause(status).is_null());
+    recorder.waits_for("right", |status| cause(status).is_null());
     drop(board);
 
     let output = recorder.ends();
@@ -74,7 +74,7 @@ fn a_camera_socket_that_cannot_be_made_is_named_and_removes_nothing() {
         let mut stderr = process.stderr.take().expect("piped");
         let (mut journal, began) = (Vec::new(), Instant::now());
         let mut piece = [0; 512];
-        while !String::from_utf8_lossy(&journal).contains(said) && began.elapsed() < Duration::from_secs(20) {
+        while !String::from_utf8_lossy(&journal).contains(said) && began.elapsed() < PATIENCE {
             let count = stderr.read(&mut piece).expect("a journal");
             journal.extend(&piece[..count]);
         }

@@ -21,6 +21,9 @@ floor_mb = 1
 floor_percent = 0.0
 "#;
 
+/// How long is waited for what must come: as long as a machine takes that has much else to do.
+pub const PATIENCE: Duration = Duration::from_secs(90);
+
 pub struct Recorder {
     pub room: Room,
     pub process: Option<std::process::Child>,
@@ -57,21 +60,21 @@ impl Recorder {
         self.room.run(&format!("recorder {order} --socket control.sock --json")).succeeds().json()
     }
 
-    pub fn waits_for(&self, what: &str, seconds: u64, is: impl Fn(&serde_json::Value) -> bool) {
+    pub fn waits_for(&self, what: &str, is: impl Fn(&serde_json::Value) -> bool) {
         let began = Instant::now();
         loop {
             let run = self.room.run("recorder status --socket control.sock --json");
             if run.code == Some(0) && is(&run.json()) {
                 return;
             }
-            assert!(began.elapsed() < Duration::from_secs(seconds), "{what}: {run:?}");
+            assert!(began.elapsed() < PATIENCE, "{what}: {run:?}");
             std::thread::sleep(Duration::from_millis(50));
         }
     }
 
     /// As soon as there is somebody to listen to: until the recorder ends.
     pub fn listens_to_poses(&self) -> std::process::Child {
-        self.waits_for("it answers", 30, |_| true);
+        self.waits_for("it answers", |_| true);
         Command::new(env!("CARGO_BIN_EXE_realitysim"))
             .args(["recorder", "poses", "--socket", "control.sock"])
             .current_dir(self.room.path(""))
@@ -87,7 +90,8 @@ impl Recorder {
         rustix::process::kill_process(id, rustix::process::Signal::TERM).expect("alive");
         let asked = Instant::now();
         let output = process.wait_with_output().expect("ended");
-        assert!(asked.elapsed() < Duration::from_secs(5), "{:?}", asked.elapsed());
+        // systemd kills it after TimeoutStopSec.
+        assert!(asked.elapsed() < Duration::from_secs(20), "{:?}", asked.elapsed());
         output
     }
 }

@@ -16,10 +16,10 @@ fn a_walk_is_tagged_live_and_its_capture_gives_the_same_tags() {
     let line = robot.listens();
     let walking = std::thread::spawn(move || robot.walk(&socket));
     let listener = recorder.listens_to_poses();
-    recorder.waits_for("the walk begins", 30, |status| status["counts"]["written"].as_u64() > Some(5));
+    recorder.waits_for("the walk begins", |status| status["counts"]["written"].as_u64() > Some(5));
     assert_eq!(recorder.asks("mark goal!")["marked"], "goal!");
     let (stamps, robot) = walking.join().expect("walked");
-    recorder.waits_for("all frames", 20, |status| status["counts"]["written"].as_u64() == Some(frames as u64));
+    recorder.waits_for("all frames", |status| status["counts"]["written"].as_u64() == Some(frames as u64));
     let status = recorder.asks("status");
     let port = &status["ports"].as_object().expect("ports").values().next().expect("one").clone();
     assert_eq!((port["lost"].as_u64(), port["crc_failures"].as_u64()), (Some(0), Some(0)), "{status}");
@@ -137,7 +137,7 @@ fn poses_go_out_although_the_disk_takes_nothing() {
     let line = robot.listens();
     let walking = std::thread::spawn(move || robot.walk(&socket));
     let (_, robot) = walking.join().expect("walked");
-    recorder.waits_for("all frames", 20, |status| {
+    recorder.waits_for("all frames", |status| {
         let dropped = status["counts"]["dropped"].as_object().into_iter().flatten();
         dropped.filter_map(|(_, count)| count.as_u64()).sum::<u64>() == frames as u64
     });
@@ -160,7 +160,7 @@ fn what_an_earlier_session_lost_is_in_the_last_account() {
     let mut recorder = Recorder::start_at(Some(robot.tty()), &config, "-2.06,0.153,14.5");
     let (frames, socket) = (robot.frames(), recorder.room.path("camera.sock"));
     std::thread::spawn(move || robot.walk(&socket)).join().expect("walked");
-    recorder.waits_for("all frames", 20, |status| status["counts"]["captured"].as_u64() == Some(frames as u64));
+    recorder.waits_for("all frames", |status| status["counts"]["captured"].as_u64() == Some(frames as u64));
     recorder.asks("stop");
     assert_eq!(recorder.asks("start")["state"], "recording");
     let output = recorder.ends();

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use super::recorder::Recorder;
+use super::recorder::{PATIENCE, Recorder};
 use super::robot::Robot;
 use crate::replay::support::{Room, walk};
 use crate::service::client::{get, post};
@@ -38,7 +38,7 @@ impl Watch {
             if is(&state) {
                 return state;
             }
-            assert!(began.elapsed() < Duration::from_secs(30), "{what}: {state}");
+            assert!(began.elapsed() < PATIENCE, "{what}: {state}");
             std::thread::sleep(Duration::from_millis(100));
         }
     }
@@ -81,7 +81,7 @@ fn a_watched_robot_shows_its_frames_with_lines_and_takes_orders() {
 #[test]
 fn a_robot_that_goes_away_and_comes_back_is_watched_again() {
     let mut recorder = Recorder::start(None);
-    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    recorder.waits_for("it runs", |status| status["state"] == "recording");
     let watch = Watch::of(&recorder.room.path(""), &["control.sock"]);
     let state = watch.waits_for("it is there", |state| state["connected"] == true);
     assert_eq!(state["status"]["state"], "recording");
@@ -104,7 +104,7 @@ fn a_robot_that_goes_away_and_comes_back_is_watched_again() {
 fn ssh_forwards_the_socket_of_a_robot() {
     let Some(site) = Site::with_ssh() else { return };
     let mut recorder = Recorder::start(None);
-    recorder.waits_for("it runs", 30, |status| status["state"] == "recording");
+    recorder.waits_for("it runs", |status| status["state"] == "recording");
     let robot = format!("127.0.0.1:{}", recorder.room.path("control.sock").display());
     let watch = Watch::of(&site.path(""), &[&robot, "--ssh", site.ssh()]);
     let state = watch.waits_for("it is there", |state| state["connected"] == true);

@@ -113,17 +113,23 @@ fn many_at_once_are_served_or_told_to_come_back() {
 #[test]
 fn connections_on_which_nothing_is_asked_give_way_to_newcomers() {
     let served = Served::new("");
+    // They are hung up on after ten seconds of silence only: whoever waits for that takes longer every time, and a busy machine
+    // does not.
+    let is_let_in = |_| wait_behind_silent_connections(&served) < Duration::from_secs(8);
+    assert!((0..5).any(is_let_in), "newcomers waited for the silent five times");
+}
+
+/// Time for twenty answers while more connections than the service has are held open in silence.
+fn wait_behind_silent_connections(served: &Served) -> Duration {
     let mut hogs: Vec<TcpStream> = (0..300).filter_map(|_| TcpStream::connect(served.address).ok()).collect();
     for hog in &mut hogs {
         let _ = hog.write_all(b"GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n");
     }
-    // They are hung up on after ten seconds of silence only.
     let asked = Instant::now();
     for _ in 0..20 {
         assert_eq!(get(served.address, HERE).status, 200);
     }
-    assert!(asked.elapsed() < Duration::from_secs(8), "{:?}", asked.elapsed());
-    drop(hogs);
+    asked.elapsed()
 }
 
 #[test]
@@ -224,8 +230,9 @@ fn an_index_that_is_cut_while_it_is_served_changes_no_answer() {
 
 #[test]
 fn a_body_that_is_announced_too_large_is_not_waited_for() {
-    let (served, asked) = (Served::new(""), Instant::now());
+    let served = Served::new("");
     let head = "POST /v1/views HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: application/json\r\nContent-Length: 99999999999\r\n\r\n{}";
     let answer = SynthesizedView::parse(&exchange(served.address, head.as_bytes())).expect("an answer");
-    assert!(answer.status == 413 && asked.elapsed().as_secs() < 8, "{} after {:?}", answer.status, asked.elapsed());
+    // One that is waited for is refused with 408.
+    assert_eq!(answer.status, 413, "{}", answer.text());
 }

@@ -79,7 +79,7 @@ fn its_paths_answer_as_it_says_and_send_the_headers_that_it_names() {
             let answer = match (method.as_str(), path.as_str()) {
                 ("get", "/v1/view") => get(served.address, "/v1/view?x=0.22&y=0.2&z=0.5&yaw_deg=11&pitch_deg=20"),
                 ("get", "/v1/capture" | "/v1/tags") => get(served.address, &format!("{path}?capture={capture}")),
-                ("get", "/v1/frame" | "/v1/tag" | "/v1/explain") => {
+                ("get", "/v1/frame" | "/v1/tag" | "/v1/explain" | "/v1/piece") => {
                     get(served.address, &format!("{path}?capture={capture}&frame=2"))
                 }
                 ("get", path) => get(served.address, path),

@@ -82,6 +82,22 @@ fn captures_are_listed_with_tags_frames_lines_and_reasons() {
 }
 
 #[test]
+fn a_piece_of_a_capture_replays_to_the_tags_of_the_capture() {
+    let (served, name) = with_captures();
+    let piece = get(served.address, &format!("/v1/piece?capture={name}&frame=20&seconds=1"));
+    assert_eq!((piece.status, piece.header("content-type")), (200, "application/octet-stream"), "{}", piece.text());
+    served.room.write("piece.mcap", &piece.body);
+    let replayed = served.room.replay("piece.mcap");
+    let tags = &walk().tags;
+    assert!(replayed.tags.iter().any(|tag| tag.header.stamp == tags[20].header.stamp), "the frame is in it");
+    for tag in &replayed.tags {
+        let recorded = tags.iter().find(|recorded| recorded.header.stamp == tag.header.stamp).expect("a frame of it");
+        assert_eq!(tag.pose.pose, recorded.pose.pose);
+    }
+    assert!(replayed.tags.len() < tags.len(), "{} frames", replayed.tags.len());
+}
+
+#[test]
 fn marks_gaps_and_bad_minutes_of_a_capture_are_told() {
     let room = Room::with_walk();
     let replayed = room.replay("log.mcap");
@@ -127,7 +143,9 @@ fn no_name_of_a_client_leads_out_of_the_captures() {
         .expect("a link");
     let absolute = served.room.path(&format!("other/{name}")).display().to_string();
     for wanted in ["..", ".", "", "link", &name, &format!("../other/{name}"), &absolute, "..%2Fother", "%00"] {
-        for path in ["/v1/capture?", "/v1/frame?frame=0&", "/v1/tag?frame=0&", "/v1/explain?frame=0&"] {
+        for path in
+            ["/v1/capture?", "/v1/frame?frame=0&", "/v1/tag?frame=0&", "/v1/explain?frame=0&", "/v1/piece?frame=0&"]
+        {
             let answer = get(served.address, &format!("{path}capture={wanted}"));
             assert_eq!(answer.status, 404, "{path}{wanted}: {}", answer.text());
             assert!(!answer.text().contains(&*served.room.path("").to_string_lossy()), "{}", answer.text());
@@ -147,6 +165,8 @@ fn what_is_wrong_or_gone_is_said() {
         (format!("/v1/frame?capture={name}&frame=-1"), 400, "a whole number from 0"),
         (format!("/v1/frame?capture={name}&frame=9999"), 404, "there is no frame 9999: they are 0 to"),
         (format!("/v1/explain?capture={name}&frame=9999"), 404, "there is no frame 9999"),
+        (format!("/v1/piece?capture={name}&frame=4&seconds=61"), 400, "a whole number from 1 to 60"),
+        (format!("/v1/piece?capture={name}&frame=9999"), 404, "there is no frame 9999"),
         ("/v1/captures?x=1".to_owned(), 400, "unknown"),
     ] {
         let answer = get(served.address, &path);

@@ -2,7 +2,7 @@
 //!
 //! A row is a frame: where its bytes lie, its stamp, its pose and how well that is known ([`CatalogueRow`]). The rows of a session
 //! are one Parquet file, `field=NAME/date=YYYY-MM-DD/robot=NAME/SESSION.parquet`, so that adding a session rewrites no other.
-//! They are sorted by the cell of their pose, so that a query for a range of poses reads few row groups. DuckDB, Polars and
+//! Rows with like poses share a row group, so that a query for a range of poses reads few of them. DuckDB, Polars and
 //! pandas read the files as they are. [`rebuild`] and [`add`] maintain a catalogue, [`show`] compares it with its captures. The
 //! schema stands in docs/reference/formats.md.
 //!
@@ -19,6 +19,7 @@
 //! # }
 //! ```
 
+mod blocks;
 mod capture;
 mod column;
 mod error;

@@ -129,11 +129,11 @@ columns! {
 }
 
 /// Side of a cell in x and y, metres.
-const CELL_M: f32 = 0.5;
+pub(super) const CELL_M: f32 = 0.5;
 /// Size of a cell in yaw, degrees.
-const CELL_DEG: f32 = 30.0;
+pub(super) const CELL_DEG: f32 = 30.0;
 
-/// The cell of poses by which rows are sorted.
+/// A cell of poses: frames of one cell show nearly the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct PoseCell {
     /// Numbers along x, y and yaw.
@@ -165,27 +165,6 @@ impl CatalogueRow {
         [self.sigma_x_m, self.sigma_y_m, self.sigma_z_m] = [x, y, z];
         [self.sigma_rx_deg, self.sigma_ry_deg, self.sigma_rz_deg] = [rx, ry, rz];
     }
-
-    /// The order of rows in a file: cells along a [`z_order`] curve, the frames of each in time. Rows without a pose are last.
-    pub(super) fn order(&self) -> (u64, i64, i64) {
-        let cell = match (self.cell_x, self.cell_y, self.cell_yaw) {
-            (Some(x), Some(y), Some(yaw)) => z_order([x, y, yaw]),
-            _ => u64::MAX,
-        };
-        (cell, self.stamp_ns, self.sequence)
-    }
-}
-
-/// Bits of each number of a cell in its [`z_order`]: a million cells along each axis.
-const Z_ORDER_BITS: u32 = 20;
-
-/// Place of a cell on a curve that goes through all cells of a block before it leaves the block (Morton's order), so that
-/// the rows of a row group lie close together in x, in y and in yaw. Numbers out of range count as the last ones in it.
-fn z_order(cell: [i32; 3]) -> u64 {
-    let half = 1 << (Z_ORDER_BITS - 1);
-    let counted = cell.map(|number| number.saturating_add(half).clamp(0, 2 * half - 1) as u64);
-    let bit = |bit: u32| counted.into_iter().fold(0, |bits, number| 2 * bits + (number >> bit & 1));
-    (0..Z_ORDER_BITS).rev().fold(0, |code, number| 8 * code + bit(number))
 }
 
 /// Steps of a metre: 0.12 mm, a tenth of what the best tags are known to.

@@ -12,6 +12,8 @@ const BAD = '#e08a00';
 const GAP = '#8888ff';
 /** Width of the projected lines on the screen, pixels: far lines must stay visible beneath. */
 const LINE_PX = 1;
+/** Length of a piece that is saved, seconds. */
+const PIECE_S = 10;
 
 const at = (id) => document.getElementById(id);
 let remember = () => {};
@@ -171,6 +173,7 @@ function drawCharts() {
   add('line places that fit', '%', '#2a9d4a', capture.fitting.map((value) => 100 * value), 100);
   add('line that is seen and explained', '%', '#1e5ae6', capture.explained.map((value) => 100 * value), 100);
   add('distance of fitting lines', 'px', '#b07000', capture.rms_px);
+  add('time since the frame before: peaks are frames that were dropped', 'ms', '#8888ff', capture.t_s.map((time, i) => 1000 * (time - (capture.t_s[i - 1] ?? time))));
 }
 
 /** Spans of time in which something holds, with a colour each. */
@@ -302,9 +305,35 @@ function offerDownloads() {
   if (shown.blob) Object.assign(at('save-frame'), { href: urls[1], download: `${name}.${shown.blob.type === 'image/png' ? 'png' : 'jpg'}` });
 }
 
+/** Saves a log of some seconds around the frame, which replays to the same tags. */
+async function savePiece(event) {
+  const button = event.target;
+  const { index } = shown;
+  const words = button.textContent;
+  button.disabled = true;
+  button.textContent = 'the piece is tagged anew …';
+  try {
+    const query = new URLSearchParams({ capture: capture.name, frame: index, seconds: PIECE_S });
+    const answer = await ask(`/v1/piece?${query}`, { accept: 'application/octet-stream', patient: true });
+    save(await answer.blob(), `${capture.name}-${String(index).padStart(6, '0')}.mcap`);
+  } catch (error) {
+    at('frame-said').textContent = error.code ? error.message : 'there was no answer';
+  } finally {
+    button.disabled = false;
+    button.textContent = words;
+  }
+}
+
+function save(blob, name) {
+  const link = document.createElement('a');
+  Object.assign(link, { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+}
+
 /** Copies the command that cuts the minute around the frame out of the capture. */
 async function copyCut(event) {
-  const time = capture.t_s[shown.index];
+  const time = capture.begins_s + capture.t_s[shown.index];
   const [from, to] = [Math.max(0, time - 30), time + 30].map((seconds) => seconds.toFixed(1));
   const command = `realitysim log cut CAPTURES/${capture.name} --from ${from} --to ${to} -o piece.mcap`;
   try {
@@ -344,6 +373,7 @@ export function start(info, keep) {
   at('scrub').addEventListener('input', (event) => showFrame(Number(event.target.value)));
   at('play').addEventListener('click', play);
   at('explain').addEventListener('click', explain);
+  at('save-piece').addEventListener('click', savePiece);
   at('copy-cut').addEventListener('click', copyCut);
   at('show-lines').addEventListener('change', paintFrame);
   at('zoom').addEventListener('input', paintFrame);

@@ -1,6 +1,7 @@
 // The pictures of the tab Walk: each follows the pose of the camera.
 
 import { ask, pause } from './api.js';
+import { readArrays } from './arrays.js';
 import { toQuery } from './pose.js';
 
 /** Requests of one picture under way at once: while one is on its way back, the next is made. */
@@ -27,7 +28,8 @@ export class ViewLoop {
     const { state } = this;
     this.wanted = { ...toQuery(state.pose), method: this.method, width: state.size, outside: 'warn', quality: 85 };
     if (state.lens) this.wanted.lens = state.lens;
-    if (state.mask) this.wanted.mask = 'alpha';
+    if (state.depth) this.wanted.layers = 'image,depth,mask';
+    else if (state.mask) this.wanted.mask = 'alpha';
     this.next();
   }
 
@@ -44,10 +46,10 @@ export class ViewLoop {
   }
 
   async load(query, number) {
-    const accept = query.mask ? 'application/octet-stream' : 'image/jpeg';
+    const accept = query.layers ? 'application/zip' : query.mask ? 'application/octet-stream' : 'image/jpeg';
     try {
       const answer = await ask(`/v1/view?${new URLSearchParams(query)}`, { accept });
-      const picture = query.mask ? await masked(answer) : await createImageBitmap(await answer.blob());
+      const picture = await (query.layers ? deep(answer, this.state.mask) : query.mask ? masked(answer) : answer.blob().then(createImageBitmap));
       if (number > this.drawn) this.draw(picture, answer.headers, number);
     } catch (error) {
       await this.fail(error, query);
@@ -110,14 +112,46 @@ export class ViewLoop {
   }
 }
 
-/** A view whose fourth channel is the mask: what lies beyond the ground is bluish, what no image shows is red. */
+/** A view whose fourth channel is the mask. */
 async function masked(answer) {
   const [width, height] = ['realitysim-width', 'realitysim-height'].map((name) => Number(answer.headers.get(name)));
   const pixels = new Uint8ClampedArray(await answer.arrayBuffer());
   for (let i = 0; i < pixels.length; i += 4) {
-    if (pixels[i + 3] === MASK.nothing) pixels.set([200, 40, 40], i);
-    else if (pixels[i + 3] === MASK.unsure) pixels.set([pixels[i] / 2 + 40, pixels[i + 1] / 2 + 40, pixels[i + 2] / 2 + 110], i);
+    markMask(pixels, i, pixels[i + 3]);
     pixels[i + 3] = 255;
   }
   return new ImageData(pixels, width, height);
+}
+
+/** Shows the mask at a pixel: what lies beyond the ground is bluish, what no image shows is red. */
+function markMask(pixels, i, mask) {
+  if (mask === MASK.nothing) pixels.set([200, 40, 40], i);
+  else if (mask === MASK.unsure) pixels.set([pixels[i] / 2 + 40, pixels[i + 1] / 2 + 40, pixels[i + 2] / 2 + 110], i);
+}
+
+/** A view tinted by its depth, with the mask if that is shown too; depth that is not known stays untinted. */
+async function deep(answer, showsMask) {
+  const { image, depth, mask } = readArrays(await answer.arrayBuffer());
+  const [height, width] = depth.shape;
+  const pixels = new Uint8ClampedArray(4 * width * height);
+  for (let at = 0, i = 0; at < depth.values.length; at++, i += 4) {
+    pixels.set(image.values.subarray(3 * at, 3 * at + 3), i);
+    pixels[i + 3] = 255;
+    if (showsMask) markMask(pixels, i, mask.values[at]);
+    if (Number.isFinite(depth.values[at])) tint(pixels, i, depth.values[at]);
+  }
+  return new ImageData(pixels, width, height);
+}
+
+/** Depth at which the tint is halfway from red (near) to blue (far), metres. */
+const MIDDLE_M = 3;
+/** Step between two contours of depth, metres. */
+const CONTOUR_M = 1;
+
+/** Red is near and blue far; each second metre is darker, so that distances can be counted. */
+function tint(pixels, i, metres) {
+  const far = metres / (metres + MIDDLE_M);
+  const shade = Math.floor(metres / CONTOUR_M) % 2 ? 0.75 : 1;
+  const colour = [255 * (1 - far), 160 * (1 - Math.abs(2 * far - 1)), 255 * far];
+  for (let channel = 0; channel < 3; channel++) pixels[i + channel] = shade * (0.45 * pixels[i + channel] + 0.55 * colour[channel]);
 }

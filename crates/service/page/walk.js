@@ -16,7 +16,7 @@ const DRAG_DEG = 0.2;
 /** Pixels around the camera and its tip in which a finger takes hold of them. */
 const GRIP_PX = 26;
 const at = (id) => document.getElementById(id);
-const state = { pose: { ...START }, lens: '', size: 640, mask: false, error: true, compared: false };
+const state = { pose: { ...START }, lens: '', size: 640, mask: false, depth: false, error: true, compared: false };
 let remember = () => {};
 let map = null;
 let coverage = null;
@@ -60,6 +60,7 @@ function keepAddress() {
 function parameters() {
   const kept = toParameters(state.pose);
   if (state.mask) kept.mask = 1;
+  if (state.depth) kept.depth = 1;
   if (state.compared) kept.compared = 1;
   if (state.lens) kept.lens = state.lens;
   if (state.size !== 640) kept.size = state.size;
@@ -178,7 +179,7 @@ const HELD = {
   r: [0, 0, 0, -1, 0], pageup: [0, 0, 0, -1, 0], f: [0, 0, 0, 1, 0], pagedown: [0, 0, 0, 1, 0],
   t: [0, 0, 0, 0, 1], g: [0, 0, 0, 0, -1],
 };
-const SWITCHES = { m: 'show-mask', c: 'show-compared', x: 'show-error' };
+const SWITCHES = { m: 'show-mask', z: 'show-depth', c: 'show-compared', x: 'show-error' };
 
 function keys() {
   const typing = (event) => /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName) && event.target.type !== 'checkbox';
@@ -242,6 +243,7 @@ function switches() {
     for (const method of ['paper', 'nearest']) at(`figure-${method}`).hidden = !state.compared;
   };
   follow('show-mask', 'mask');
+  follow('show-depth', 'depth');
   follow('show-error', 'error');
   follow('show-compared', 'compared', compare);
   follow('lens', 'lens');
@@ -306,10 +308,12 @@ export function show(parameters) {
   const small = matchMedia('(max-width: 800px)').matches;
   state.pose = fromParameters(parameters);
   state.mask = parameters.get('mask') === '1';
+  state.depth = parameters.get('depth') === '1';
   state.compared = parameters.get('compared') === '1';
   state.lens = parameters.get('lens') ?? '';
   state.size = Number(parameters.get('size') ?? (small ? 320 : 640)) || 640;
   at('show-mask').checked = state.mask;
+  at('show-depth').checked = state.depth;
   at('show-compared').checked = state.compared;
   at('lens').value = state.lens;
   at('size').value = String(state.size);

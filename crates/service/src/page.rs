@@ -27,13 +27,14 @@ macro_rules! file {
 }
 
 /// The files of the page.
-const FILES: [PageFile; 13] = [
+const FILES: [PageFile; 14] = [
     file!("/", "index.html", HTML),
     file!("/page/style.css", "style.css", STYLE),
     file!("/page/icon.svg", "icon.svg", PICTURE),
     file!("/page/main.js", "main.js", SCRIPT),
     file!("/page/api.js", "api.js", SCRIPT),
     file!("/page/field.js", "field.js", SCRIPT),
+    file!("/page/arrays.js", "arrays.js", SCRIPT),
     file!("/page/pose.js", "pose.js", SCRIPT),
     file!("/page/walk.js", "walk.js", SCRIPT),
     file!("/page/views.js", "views.js", SCRIPT),

@@ -13,7 +13,7 @@ use serde_json::json;
 use tokio::time::timeout;
 
 use super::batch::Batch;
-use super::captures::Captures;
+use super::captures::{Captures, MAX_PIECE_S};
 use super::connections::ConnectionSlot;
 use super::encode::{Form, accepted};
 use super::guard::{Guard, list, text};
@@ -25,7 +25,7 @@ use super::view_service::{Picture, ViewService};
 use super::{HttpProblem, OPENAPI, Reply, Service};
 
 /// The paths of the service.
-const ROUTES: [&str; 15] = [
+const ROUTES: [&str; 16] = [
     "/v1/view",
     "/v1/views",
     "/v1/info",
@@ -36,6 +36,7 @@ const ROUTES: [&str; 15] = [
     "/v1/frame",
     "/v1/tag",
     "/v1/explain",
+    "/v1/piece",
     "/v1/live",
     "/v1/live/frame",
     "/v1/live/order",
@@ -122,7 +123,7 @@ async fn dispatch(
             let none = || json!({ "version": env!("CARGO_PKG_VERSION"), "images": 0, "field": null, "lenses": {}, "scenes": {} });
             Ok(json_reply(&service.views.as_ref().map_or_else(none, ViewService::info)))
         }
-        "/v1/captures" | "/v1/capture" | "/v1/tags" | "/v1/frame" | "/v1/tag" | "/v1/explain" => {
+        "/v1/captures" | "/v1/capture" | "/v1/tags" | "/v1/frame" | "/v1/tag" | "/v1/explain" | "/v1/piece" => {
             let raw = accepts_raw(list(&request, &ACCEPT).as_deref());
             capture(service, slot, parameters, route, raw).await
         }
@@ -274,6 +275,9 @@ async fn capture(
     Ok(reply)
 }
 
+/// Length of a piece if none is asked for, seconds.
+const PIECE_S: u32 = 10;
+
 /// What is answered about captures.
 struct Captured {
     content: Vec<u8>,
@@ -289,6 +293,7 @@ fn captured(captures: &Captures, parameters: &Parameters, route: &str, raw: bool
     let known: &[&str] = match route {
         "/v1/captures" => &[],
         "/v1/capture" | "/v1/tags" => &["capture"],
+        "/v1/piece" => &["capture", "frame", "seconds"],
         _ => &["capture", "frame"],
     };
     parameters.only(known)?;
@@ -310,6 +315,10 @@ fn captured(captures: &Captures, parameters: &Parameters, route: &str, raw: bool
         }
         "/v1/frame" => captures.picture(name, frame).map(|(content, media_type)| of(content, media_type)),
         "/v1/tag" => captures.tag(name, frame).map(json),
+        "/v1/piece" => {
+            let seconds = parameters.whole("seconds", 1, MAX_PIECE_S)?.unwrap_or(PIECE_S);
+            Ok(of(captures.piece(name, frame, seconds)?, "application/octet-stream"))
+        }
         _ => captures.explanation(name, frame).map(json),
     }
 }

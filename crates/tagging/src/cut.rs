@@ -108,7 +108,7 @@ const SEGMENT_S: u64 = 1;
 pub fn cut(options: &CutOptions, progress: Progress) -> Result<CutReport, CutError> {
     let files = logs::files_of(&options.source)?;
     let first_log_times = first_log_times(&files)?;
-    let first_ns = first_log_times.iter().copied().flatten().min().unwrap_or(0);
+    let first_ns = earliest(&first_log_times);
     let time = |seconds: f64| first_ns.saturating_add((seconds * 1e9) as i64);
     let (from_ns, to_ns) = (time(options.from_s), time(options.to_s));
     let drawn = drawn_for_episode(&files)?;
@@ -167,6 +167,19 @@ pub fn cut(options: &CutOptions, progress: Progress) -> Result<CutReport, CutErr
         messages: written.messages,
         bytes,
     })
+}
+
+/// Log time of the first message of a log, a folder of them, or a capture, nanoseconds: seconds of a piece count from it.
+///
+/// # Errors
+///
+/// Fails if a file cannot be read.
+pub fn start_ns(source: &Path) -> Result<i64, CutError> {
+    Ok(earliest(&first_log_times(&logs::files_of(source)?)?))
+}
+
+fn earliest(first_log_times: &[Option<i64>]) -> i64 {
+    first_log_times.iter().copied().flatten().min().unwrap_or(0)
 }
 
 /// Log time of the first message of each file; `None` for a file without messages.

@@ -96,7 +96,7 @@ fn image_place(capture: &Capture, frame: u32) -> Result<Place, HttpProblem> {
     entry(capture, frame)?.image.ok_or_else(|| gone(none))
 }
 
-fn entry(capture: &Capture, frame: u32) -> Result<&FrameEntry, HttpProblem> {
+pub(super) fn entry(capture: &Capture, frame: u32) -> Result<&FrameEntry, HttpProblem> {
     let count = capture.frames.len();
     capture.frames.get(frame as usize).ok_or_else(|| match count {
         0 => gone("the capture has no tagged frame"),
@@ -122,7 +122,7 @@ fn decoded(data: Vec<u8>, place: Place) -> Result<Picture, HttpProblem> {
     decode::picture(&message).map_err(|_| gone("the image of this frame does not decode"))
 }
 
-fn gone(what: &str) -> HttpProblem {
+pub(super) fn gone(what: &str) -> HttpProblem {
     HttpProblem::new(StatusCode::NOT_FOUND, what)
 }
 

@@ -4,6 +4,7 @@
 //! made of what a client sends.
 
 mod frame;
+mod piece;
 mod scan;
 mod tag_arrays;
 
@@ -14,6 +15,7 @@ use hyper::StatusCode;
 use serde_json::{Value, json};
 
 use super::HttpProblem;
+pub(super) use piece::MAX_PIECE_S;
 use realitysim_recording::sessions::sessions_in;
 use realitysim_recording::{ManifestLine, Session};
 use scan::Capture;
@@ -23,7 +25,7 @@ pub(super) struct Captures {
     folder: Option<PathBuf>,
     /// Captures that were read, the least recently used first.
     read: Mutex<Vec<Arc<Capture>>>,
-    /// Held while a capture is read or a frame explained, which takes seconds: other clients come back, and views go on.
+    /// Held while a capture is read, a frame explained or a piece cut, which takes seconds: other clients come back, and views go on.
     long_work: Mutex<()>,
 }
 
@@ -82,6 +84,13 @@ impl Captures {
         let capture = self.capture(name)?;
         let _alone = self.alone()?;
         frame::explanation(&capture, frame)
+    }
+
+    /// Returns a log of some seconds around a frame.
+    pub(super) fn piece(&self, name: &str, frame: u32, seconds: u32) -> Result<Vec<u8>, HttpProblem> {
+        let capture = self.capture(name)?;
+        let _alone = self.alone()?;
+        piece::piece(&capture, frame, seconds)
     }
 
     /// Reads a session, unless it has been read and is as it was then.
@@ -149,9 +158,9 @@ fn last_part(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Refusal because a capture is being read or a frame explained.
+/// Refusal because other long work is under way.
 fn busy() -> HttpProblem {
-    let what = "another capture is being read, or a frame explained: come back in a second";
+    let what = "another capture is being read, a frame explained, or a piece cut: come back in a second";
     HttpProblem::new(StatusCode::SERVICE_UNAVAILABLE, what)
 }
 

@@ -14,6 +14,7 @@ use realitysim_recording::{Session, SessionInfo, losses, read_info};
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
 use realitysim_ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Message};
 use realitysim_ros2::topics::{DIAGNOSTICS, DIAGNOSTICS_PREFIX, FRAME_TAG};
+use realitysim_tagging::cut::start_ns;
 
 /// What was read of a capture.
 pub(in super::super) struct Capture {
@@ -23,6 +24,10 @@ pub(in super::super) struct Capture {
     pub(super) info: SessionInfo,
     pub(super) field: Field,
     pub(super) lens: Lens,
+    /// The session's folder.
+    pub(super) folder: PathBuf,
+    /// Log time of the first message.
+    pub(super) start_ns: i64,
     /// Files of the capture, to which places refer.
     pub(super) files: Vec<PathBuf>,
     pub(super) frames: Vec<FrameEntry>,
@@ -40,6 +45,8 @@ pub(in super::super) struct Capture {
 #[derive(Clone, Debug)]
 pub(super) struct FrameEntry {
     pub(super) stamp_ns: i64,
+    /// Time at which the tag was written.
+    pub(super) log_time_ns: i64,
     pub(super) valid: bool,
     pub(super) ambiguous: bool,
     /// Index of the reason; that of a valid tag is empty.
@@ -98,6 +105,8 @@ impl Capture {
             info,
             field,
             lens,
+            folder: session.folder.clone(),
+            start_ns: start_ns(&session.folder).map_err(|error| failed(&error))?,
             files,
             frames: Vec::new(),
             reasons: vec![String::new()],
@@ -152,6 +161,7 @@ impl Capture {
         let reason = self.reason(&tag.reason);
         self.frames.push(FrameEntry {
             stamp_ns: tag.header.stamp.to_nanoseconds(),
+            log_time_ns: message.log_time_ns,
             valid: tag.valid,
             ambiguous: tag.ambiguous,
             reason,
@@ -208,6 +218,7 @@ impl Capture {
             "field": self.field.dimensions(),
             "lens": self.lens.parameters(),
             "first_ns": first_ns.to_string(),
+            "begins_s": self.frames.first().map_or(0.0, |frame| self.seconds_from_start(frame)),
             "reasons": self.reasons,
             "t_s": column(&|frame| json!(seconds(frame.stamp_ns))),
             "valid": column(&|frame| json!(u8::from(frame.valid))),
@@ -227,6 +238,11 @@ impl Capture {
             "lost": self.lost,
             "left_out": self.left_out,
         })
+    }
+
+    /// Seconds from the first message of the capture to the tag of a frame, as `realitysim log cut` counts them.
+    pub(super) fn seconds_from_start(&self, frame: &FrameEntry) -> f64 {
+        round(frame.log_time_ns.saturating_sub(self.start_ns) as f64 * 1e-9, 1e3)
     }
 
     /// Returns the minutes in which too few tags are valid.
