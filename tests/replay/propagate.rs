@@ -14,7 +14,8 @@ use super::support::{LENS, Room, TRUTH, decode_all, read_log, session_name};
 
 const SCENE: &str = include_str!("balls.toml");
 const STILL: DVec3 = DVec3::new(-0.55, 0.4, 0.07);
-const ROLLING: DVec3 = DVec3::new(-0.9, -0.4, 0.07);
+/// Where the rolling ball is in frame 4, after 0.4 s at 0.3 m/s.
+const ROLLING: DVec3 = DVec3::new(-0.788, -0.4435, 0.07);
 
 /// The scene with the figures that `keep` accepts, by their lines.
 fn scene(keep: impl Fn(&str) -> bool) -> Scene {
@@ -95,8 +96,8 @@ fn overlap(a: [DVec2; 2], b: [DVec2; 2]) -> f64 {
 #[test]
 fn a_click_gives_the_boxes_of_the_renderer_where_the_ball_is_seen() {
     let (room, session, truth) = recorded();
-    let at = truth.pixel(3, STILL);
-    let click = format!("--at 3,{:.1},{:.1},0.07", at.x, at.y);
+    let at = truth.pixel(15, STILL);
+    let click = format!("--at 15,{:.1},{:.1},0.07", at.x, at.y);
     let report =
         room.run(&format!("labels propagate {session} {click} --format coco -o coco --json")).succeeds().json();
     let coco: Value = serde_json::from_slice(&fs::read(room.path("coco/annotations.json")).unwrap()).unwrap();
@@ -132,7 +133,7 @@ fn a_click_gives_the_boxes_of_the_renderer_where_the_ball_is_seen() {
         }
     }
     println!("in view {kept} kept, {lost} lost; hidden {hidden} left out, {mistaken} kept; worst overlap {worst:.2}");
-    assert!(kept > 20 && lost == 0 && hidden > 3 && mistaken == 0, "{kept} {lost} {hidden} {mistaken}");
+    assert!(kept > 20 && lost == 0 && hidden >= 3 && mistaken == 0, "{kept} {lost} {hidden} {mistaken}");
     assert!(worst > 0.7, "{worst}");
     assert_eq!(boxes.len() as u64, report["labelled"].as_u64().unwrap());
 }
@@ -140,24 +141,25 @@ fn a_click_gives_the_boxes_of_the_renderer_where_the_ball_is_seen() {
 #[test]
 fn a_ball_that_rolls_away_is_said_to_be_gone() {
     let (room, session, truth) = recorded();
-    let at = truth.pixel(0, ROLLING);
-    let click = format!("--at 0,{:.1},{:.1},0.07", at.x, at.y);
+    let at = truth.pixel(4, ROLLING);
+    let click = format!("--at 4,{:.1},{:.1},0.07", at.x, at.y);
     let run = room.run(&format!("labels propagate {session} {click} --format yolo --class Ball -o yolo --json"));
     let report = run.succeeds().json();
     println!("{report}");
-    // It has moved by its own diameter after half a second.
+    // It moves by its own diameter in half a second.
     let gone = report["gone_from_s"].as_f64().unwrap();
-    assert!((0.1..=0.6).contains(&gone) && report["absent_until_s"].is_null(), "{report}");
+    assert!((0.6..=1.0).contains(&gone) && report["absent_until_s"].is_null(), "{report}");
     let labels = fs::read_dir(room.path("yolo/labels")).unwrap().count() as u64;
-    assert!((1..8).contains(&labels) && labels == report["labelled"].as_u64().unwrap(), "{report}");
-    let label = fs::read_to_string(room.path("yolo/labels/000000.txt")).unwrap();
+    assert!((3..9).contains(&labels) && labels == report["labelled"].as_u64().unwrap(), "{report}");
+    let label = fs::read_to_string(room.path("yolo/labels/000004.txt")).unwrap();
     let numbers: Vec<f64> = label.split_whitespace().map(|word| word.parse().unwrap()).collect();
     let middle = DVec2::new(numbers[1] * 320.0, numbers[2] * 240.0) - 0.5;
     assert!(numbers[0] == 0.0 && middle.distance(at) < 0.5, "{label} {at}");
     assert!(fs::read_to_string(room.path("yolo/data.yaml")).unwrap().contains("0: \"Ball\""));
     // Later, the place is empty from the start.
-    let late = room.run(&format!("labels propagate {session} {click} --format yolo -o late --from 2")).succeeds();
-    assert!(late.stdout.contains(" 0 do"), "{late:?}");
+    let late = format!("labels propagate {session} {click} --format yolo -o late --from 2");
+    room.run(&late).fails(1, &["nothing was written", "should see the ball none does"]);
+    assert_eq!(fs::read_dir(room.path("late")).unwrap().count(), 0);
 }
 
 #[test]

@@ -5,6 +5,9 @@
 //! does not tell on which side they are have the class [`Class::Ignore`], so that labels state their own error. [`coco`] and [`yolo`]
 //! write the formats of these names.
 //!
+//! A [`RestingSphere`] is a ball or robot that a person points at in one image, with its box in others; its [`Appearance`] tells whether it
+//! is still there. [`Labeller::compare`] holds the answers of a detector against the landmarks.
+//!
 //! The crate is pure: poses, lenses and masks go in, annotations come out. See `docs/howto/training.md`.
 //!
 //! ```rust

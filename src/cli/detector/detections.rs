@@ -4,6 +4,7 @@ use anyhow::{Context, ensure};
 use glam::DVec2;
 
 use super::shortened;
+use crate::geometry::Physical;
 use crate::labels::{ClassList, Detection, LandmarkKind};
 
 /// The landmarks in a detector's answer, `class u v [score]` or `class u_min v_min u_max v_max [score]` a line. The left upper corner of
@@ -27,8 +28,7 @@ fn detection(line: &str, classes: ClassList) -> anyhow::Result<Option<Detection>
     let name = words.next().context(FORM)?;
     let class = classes.names.iter().position(|known| *known == name);
     let class = class.with_context(|| format!("the classes are {}", classes.names.join(", ")))?;
-    let numbers: Option<Vec<f64>> =
-        words.map(|word| word.parse().ok().filter(|number: &f64| number.is_finite())).collect();
+    let numbers: Option<Vec<f64>> = words.map(|word| word.parse().ok().filter(f64::is_possible)).collect();
     let of_box = |[left, top, right, bottom]: [f64; 4], score: f64| {
         ensure!(left <= right && top <= bottom, "the left upper corner comes first");
         Ok(Detection::of_box(classes, class, [DVec2::new(left, top), DVec2::new(right, bottom)], score))
@@ -58,7 +58,20 @@ const KINDS: [LandmarkKind; 6] = [
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
     use crate::labels::{BOOSTER_CLASSES, LANDMARK_CLASSES};
+
+    proptest! {
+        #[test]
+        fn no_answer_makes_the_reader_panic_or_a_number_infinite(
+            lines in prop::collection::vec("(l_crossing|goalpost|.{0,8})( [-+.0-9eEinfNa]{0,6}| .{0,4}){0,7}", 0..4),
+        ) {
+            for found in detections_in(&lines.join("\n"), LANDMARK_CLASSES).unwrap_or_default() {
+                prop_assert!(found.at.is_finite() && (0.0..=1.0).contains(&found.score), "{found:?}");
+            }
+        }
+    }
 
     #[test]
     fn points_and_boxes_are_read_and_anything_else_is_named() {

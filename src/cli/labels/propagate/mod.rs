@@ -151,6 +151,12 @@ fn propagate(arguments: &PropagateArguments, time_s: core::ops::RangeInclusive<f
     let images = PosedImages::new(&opened.database)?;
     let clicked = click::find(&images, &arguments.input, arguments.at)?;
     let sightings = sightings::look(&images, &clicked, time_s)?;
+    let in_view = sightings.iter().filter(|sighting| sighting.seen().is_some()).count();
+    anyhow::ensure!(
+        sightings.iter().any(|sighting| sighting.labelled().is_some()),
+        "nothing was written: of {in_view} frames within --from and --to that should see the {} none does",
+        arguments.class
+    );
     let files = files::Files { folder: &arguments.output, format: arguments.format, class: &arguments.class };
     let unreadable = files.write(&images, &sightings)?;
     let mut report = report(arguments, &clicked, &sightings);
