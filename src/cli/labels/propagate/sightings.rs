@@ -31,9 +31,10 @@ pub(super) enum Finding {
 const BATCH: usize = 64;
 /// Least similarity of a frame that sees the object.
 ///
-/// Of a rendered ball that nothing hides it is 0.61 and more, of one that is gone, or of which a robot hides more than half, at most 0.54
-/// (`cargo test --release --test integration -- replay::propagate --nocapture` prints it for all frames).
-const MIN_SIMILARITY: f64 = 0.55;
+/// Of rendered balls that nothing hides it is 0.67 and more; of those that are gone, hidden for the most part or moved by their own
+/// diameter at most 0.58, and that where a leg of the ball's colour stands before it (printed by
+/// `cargo test --release --test integration -- replay::propagate --nocapture`).
+const MIN_SIMILARITY: f64 = 0.6;
 
 impl Sighting {
     /// When the frame was taken, seconds, and whether it shows the object; `None` if it has no box.
