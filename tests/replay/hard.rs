@@ -294,6 +294,18 @@ fn a_wrong_mount_is_told_and_is_no_wrong_field() {
     assert!(down, "{said}");
 }
 
+#[test]
+fn a_wrong_height_is_told_and_is_no_wrong_field() {
+    let messages = changed::<TFMessage>(&walk().messages, TF_STATIC, |constants| {
+        let camera = constants.transforms.iter_mut().find(|transform| transform.child_frame_id == "camera_link");
+        camera.expect("the camera's mount").transform.translation.z += 0.1;
+    });
+    let said = cause(&Room::with_log(&messages), "log.mcap");
+    assert!(said.contains("most probably the mount of the camera (/tf_static, or [mount])"), "{said}");
+    let lower = ["0.76", "0.82", "0.87"].iter().any(|times| said.contains(&format!("is {times} times as high")));
+    assert!(lower, "{said}");
+}
+
 /// Each pixel's red, green and blue times as much.
 fn tinted(image: &mut CompressedImage, by: [f32; 3]) {
     let mut picture = image::load_from_memory(&image.data).expect("decodes").to_rgb8();
