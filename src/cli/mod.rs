@@ -11,6 +11,7 @@ mod check;
 mod db;
 mod demo;
 mod depth_picture;
+mod detector;
 mod doc_section;
 mod doctor;
 mod eval;

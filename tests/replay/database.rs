@@ -200,6 +200,7 @@ fn the_gap_is_least_for_the_exact_view() {
         assert!((0.0..=1.0).contains(&of(form, "histogram")));
     }
     assert!(of("recorded", "histogram") == 0.0 && image::open(room.path("gap.png")).is_ok());
+    room.run("measure gap --db db --frames 1 --detector /bin/false").fails(1, &["exit status: 1"]);
     room.run("measure gap --db db --apart 100").fails(1, &["no image has others around it"]);
 }
 

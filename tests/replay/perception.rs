@@ -59,7 +59,8 @@ fn answer(landmarks: &[(&str, DVec2)], frame: u64) -> String {
     for (class, at) in landmarks {
         let noise = DVec2::new(random.normal(), random.normal()) * SIGMA_PX;
         if random.uniform() < FOUND {
-            let found = *at + BIAS_PX + noise;
+            // The first pixel's centre is (0.5, 0.5) to a detector.
+            let found = *at + BIAS_PX + noise + 0.5;
             text += &format!("{class} {} {}\n", found.x, found.y);
         }
     }
@@ -188,7 +189,7 @@ fn a_detector_that_fails_is_named_and_leaves_no_file() {
     let gap = "measure gap --db db --frames 2 --apart 0.03 -o gap.png --error-model model.json --detector";
     for (command, words) in [
         (late.as_str(), &["--detector", "late.sh", "exit status: 1"][..]),
-        ("/bin/echo", &["--detector", "/bin/echo", "line 1", "is none of l_crossing", "`class u v`"]),
+        ("/bin/echo", &["--detector", "/bin/echo", "line 1", "is none of l_crossing", "`class u v [score]`"]),
         ("/no/such", &["--detector", "/no/such", "127"]),
     ] {
         room.run(&format!("{gap} {command}")).fails(1, words);

@@ -102,12 +102,17 @@ impl Room {
 
     /// The same with these variables in the environment.
     pub fn run_with(&self, arguments: &str, variables: &[(&str, &str)]) -> Run {
+        self.run_words(&arguments.split_whitespace().collect::<Vec<_>>(), variables)
+    }
+
+    /// The same with arguments that may have spaces in them.
+    pub fn run_words(&self, arguments: &[&str], variables: &[(&str, &str)]) -> Run {
         let program = env!("CARGO_BIN_EXE_realitysim");
         let mut command = Command::new(program);
         command.envs(variables.iter().copied());
-        let output = command.args(arguments.split_whitespace()).current_dir(&self.folder).output().unwrap();
+        let output = command.args(arguments).current_dir(&self.folder).output().unwrap();
         Run {
-            arguments: arguments.to_owned(),
+            arguments: arguments.join(" "),
             code: output.status.code(),
             stdout: String::from_utf8(output.stdout).unwrap(),
             stderr: String::from_utf8(output.stderr).unwrap(),

@@ -68,8 +68,13 @@ impl Labeller {
 
     /// Boxes around the crossings, marks and posts that can be seen.
     pub fn boxes(&self, image: &PosedImage) -> Vec<LabelBox> {
+        self.landmark_boxes(image).into_iter().flatten().collect()
+    }
+
+    /// The box of each landmark, in the order of [`Labeller::landmarks`]; `None` if it cannot be seen.
+    pub fn landmark_boxes(&self, image: &PosedImage) -> Vec<Option<LabelBox>> {
         let seen = Seen::new(self, image);
-        self.landmarks.iter().filter_map(|landmark| seen.label_box(landmark.kind, landmark.at)).collect()
+        self.landmarks.iter().map(|landmark| seen.label_box(landmark.kind, landmark.at)).collect()
     }
 
     /// For each column of the image: the first row, from above, whose pixel shows the carpet or paint on it, or the image's height where none does.
@@ -81,7 +86,7 @@ impl Labeller {
 }
 
 /// One image and the goals in it.
-struct Seen<'a> {
+pub(crate) struct Seen<'a> {
     labeller: &'a Labeller,
     image: &'a PosedImage<'a>,
     lens: &'a Lens,
@@ -91,11 +96,28 @@ struct Seen<'a> {
 }
 
 impl<'a> Seen<'a> {
-    fn new(labeller: &'a Labeller, image: &'a PosedImage<'a>) -> Self {
+    pub(crate) fn new(labeller: &'a Labeller, image: &'a PosedImage<'a>) -> Self {
         let map_from_optical = image.map_from_link * Isometry::link_from_optical();
         let (lens, optical_from_map) = (image.camera.lens(), map_from_optical.inverse());
         let goals = labeller.goals.seen_by(lens, &map_from_optical);
         Self { labeller, image, lens, map_from_optical, optical_from_map, goals }
+    }
+
+    /// Width of the image, pixels.
+    pub(crate) fn width(&self) -> usize {
+        self.image.camera.width()
+    }
+
+    /// Height of the image, pixels.
+    pub(crate) fn height(&self) -> usize {
+        self.image.camera.height()
+    }
+
+    /// Where the ray of a pixel meets the ground in `map`.
+    pub(crate) fn ground(&self, pixel: DVec2) -> Option<DVec3> {
+        let ray = self.map_from_optical.rotation * self.lens.unproject(pixel)?;
+        let from = self.map_from_optical.translation;
+        (ray.z < 0.0 && from.z > 0.0).then(|| from + ray * (from.z / -ray.z))
     }
 
     fn pixel(&self, at: DVec3) -> Option<DVec2> {
@@ -111,9 +133,14 @@ impl<'a> Seen<'a> {
         let (distance, ray) = (arm.length(), arm.normalize_or(DVec3::X));
         let hidden = !self.shows_scene(pixel) || self.goals.hides(pixel, ray, distance);
         let visibility = if hidden { Visibility::Hidden } else { Visibility::Visible };
-        let covariance_px2 = self.covariance_px2(at, pixel);
-        let sigma_px = longest_axis(covariance_px2.x_axis.x, covariance_px2.x_axis.y, covariance_px2.y_axis.y);
+        let (covariance_px2, sigma_px) = (self.covariance_px2(at, pixel), self.sigma_px(at, pixel));
         Keypoint { at: pixel, sigma_px, covariance_px2, visibility }
+    }
+
+    /// Standard deviation of the pixel of a point along its longer axis, pixels.
+    pub(crate) fn sigma_px(&self, at: DVec3, pixel: DVec2) -> f64 {
+        let covariance_px2 = self.covariance_px2(at, pixel);
+        longest_axis(covariance_px2.x_axis.x, covariance_px2.x_axis.y, covariance_px2.y_axis.y)
     }
 
     /// Covariance of the pixel of a point, square pixels.

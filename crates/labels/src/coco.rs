@@ -6,7 +6,7 @@
 use glam::DVec2;
 use serde_json::{Value, json};
 
-use crate::{Class, Keypoint, LANDMARK_CLASSES, LabelBox, Labeller, PosedImage, Visibility};
+use crate::{Class, Keypoint, LANDMARK_CLASSES, Labeller, PosedImage, SphereBox, Visibility};
 
 /// The annotations of many images, as they come in.
 #[derive(Clone, Debug)]
@@ -32,6 +32,9 @@ const IGNORE: usize = 7;
 const FIELD: usize = 20;
 /// Number of the first category of landmarks.
 const FIRST_LANDMARK: usize = 10;
+/// Number of the only category of [`Coco::of_one_class`].
+const ONE_CLASS: usize = 1;
+
 impl Coco {
     /// No annotations yet, of a labeller's field.
     pub fn new(labeller: &Labeller) -> Self {
@@ -46,6 +49,12 @@ impl Coco {
         ];
         let landmarks = LANDMARK_CLASSES.names.iter().enumerate().map(landmark);
         let categories = Class::KNOWN.iter().map(class).chain(landmarks).chain(others).collect();
+        Self { categories, images: Vec::new(), annotations: Vec::new() }
+    }
+
+    /// No annotations yet, of boxes of a single class, which has the number 1.
+    pub fn of_one_class(name: &str) -> Self {
+        let categories = json!([{"id": ONE_CLASS, "name": name, "supercategory": "object"}]);
         Self { categories, images: Vec::new(), annotations: Vec::new() }
     }
 
@@ -66,8 +75,7 @@ impl CocoImage {
     /// The annotations of an image. `id` is its number in the file, from 1 on, `file` its name.
     pub fn new(labeller: &Labeller, image: &PosedImage, classes: &[Class], id: usize, file: &str) -> Self {
         let [width, height] = [image.camera.width(), image.camera.height()];
-        let head = json!({"id": id, "file_name": file, "width": width, "height": height}).to_string();
-        let mut own = Self { id, image: head, annotations: Vec::new() };
+        let mut own = Self::empty(image, id, file);
         let known = Class::KNOWN.iter().map(|class| (*class as usize + 1, *class));
         for (category, class) in known.chain([(IGNORE, Class::Ignore)]) {
             if let Some(region) = region(classes, [width, height], class) {
@@ -77,7 +85,7 @@ impl CocoImage {
         for found in labeller.boxes(image) {
             if let Some(place) = LANDMARK_CLASSES.class(found.kind) {
                 let more = json!({"iscrowd": 0, "hidden_share": rounded(found.hidden_share)});
-                own.annotate(FIRST_LANDMARK + place, of_box(&found), more);
+                own.annotate(FIRST_LANDMARK + place, of_box(found.from, found.to), more);
             }
         }
         let keypoints = labeller.keypoints(image);
@@ -90,6 +98,20 @@ impl CocoImage {
             own.annotate(FIELD, around, more);
         }
         own
+    }
+
+    /// An image with the box of a sphere, for [`Coco::of_one_class`].
+    pub fn of_sphere(found: &SphereBox, image: &PosedImage, id: usize, file: &str) -> Self {
+        let mut own = Self::empty(image, id, file);
+        let more = json!({"iscrowd": 0, "hidden_share": rounded(1.0 - found.shown_share), "sigma_px": rounded(found.sigma_px)});
+        own.annotate(ONE_CLASS, of_box(found.from, found.to), more);
+        own
+    }
+
+    fn empty(image: &PosedImage, id: usize, file: &str) -> Self {
+        let [width, height] = [image.camera.width(), image.camera.height()];
+        let head = json!({"id": id, "file_name": file, "width": width, "height": height}).to_string();
+        Self { id, image: head, annotations: Vec::new() }
     }
 
     /// Adds an annotation, made of the keys of both objects.
@@ -129,11 +151,11 @@ fn region(classes: &[Class], [width, height]: [usize; 2], class: Class) -> Optio
         .then(|| json!({"area": area, "bbox": place(), "segmentation": {"size": [height, width], "counts": counts}}))
 }
 
-fn of_box(found: &LabelBox) -> Value {
-    let size = found.to - found.from;
-    let corners = [found.from, DVec2::new(found.to.x, found.from.y), found.to, DVec2::new(found.from.x, found.to.y)];
+fn of_box(from: DVec2, to: DVec2) -> Value {
+    let size = to - from;
+    let corners = [from, DVec2::new(to.x, from.y), to, DVec2::new(from.x, to.y)];
     let outline: Vec<f64> = corners.iter().flat_map(|corner| [rounded(corner.x), rounded(corner.y)]).collect();
-    let place = [found.from.x, found.from.y, size.x, size.y].map(rounded);
+    let place = [from.x, from.y, size.x, size.y].map(rounded);
     json!({"area": rounded(size.x * size.y), "bbox": place, "segmentation": [outline]})
 }
 

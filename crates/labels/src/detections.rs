@@ -1,22 +1,41 @@
 //! What a detector says of a picture: its output as text, and which landmark each of its detections is of.
 
 use glam::DVec2;
+use realitysim_geometry::Physical;
 
-use crate::{Keypoint, LANDMARK_CLASSES, Labeller, LandmarkKind, Visibility};
+use crate::{ClassList, Keypoint, LANDMARK_CLASSES, Labeller, LandmarkKind, Visibility};
 
 /// A landmark that a detector found in a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detection {
-    /// Number of its class in [`LANDMARK_CLASSES`].
+    /// Number of its class in the detector's list.
     pub class: usize,
-    /// Where the landmark is, pixels; the first pixel's centre is (0, 0).
-    ///
-    /// Of a box it is the centre, and of a goal post's box the middle of the lower edge, where the foot is.
+    /// Where it is, pixels; the first pixel's centre is (0, 0).
     pub at: DVec2,
-    /// Left upper and right lower corner of its box, pixels, as [`crate::LabelBox`] has them. `None` if it is a point.
-    pub corners: Option<[DVec2; 2]>,
-    /// How sure the detector is, on a scale of its own.
-    pub score: Option<f64>,
+    /// Whether `at` is that of a box: the middle of a box is not quite the landmark.
+    pub is_box: bool,
+    /// How sure the detector is, 0 to 1.
+    pub score: f64,
+}
+
+impl Detection {
+    /// A landmark found as a point, in pixels of which the left upper corner of the picture is (0, 0).
+    pub fn point(class: usize, at: DVec2, score: f64) -> Self {
+        Self { class, at: at - 0.5, is_box: false, score }
+    }
+
+    /// A landmark found as a box with these corners, in the same pixels.
+    pub fn of_box(classes: ClassList, class: usize, [from, to]: [DVec2; 2], score: f64) -> Self {
+        let is_post = classes.class(LandmarkKind::PostFoot) == Some(class);
+        Self { class, at: anchor(from, to, is_post) - 0.5, is_box: true, score }
+    }
+}
+
+/// The point of a box that is compared: of a goal post the middle of the lower edge, since detectors differ in how much of it they take,
+/// else the middle.
+pub(crate) fn anchor(from: DVec2, to: DVec2, is_post: bool) -> DVec2 {
+    let middle = (from + to) / 2.0;
+    if is_post { middle.with_y(to.y) } else { middle }
 }
 
 /// Why a text is no list of detections.
@@ -38,48 +57,64 @@ impl core::fmt::Display for DetectionError {
 impl core::error::Error for DetectionError {}
 
 /// The forms of a line, for error messages.
-const FORM: &str = "`class u v` or `class u_min v_min u_max v_max [score]`";
+const FORM: &str = "`class u v [score]` or `class u_min v_min u_max v_max [score]`";
+/// Longest word that an error message quotes, characters.
+const QUOTED_CHARACTERS: usize = 40;
 /// Distance between a detection and its landmark that is always allowed, as a share of the picture's width.
 const GATE_SHARE: f64 = 0.03;
 /// Distance that the error of the label may add, in standard deviations.
 const GATE_SIGMAS: f64 = 3.0;
 
-/// Reads detections, one a line. Lines without a word are skipped.
+/// Reads detections of classes of a list, one a line: `class u v [score]` or `class u_min v_min u_max v_max [score]`. The left upper corner
+/// of the picture is (0, 0), so that the first pixel's centre is (0.5, 0.5); without a score it is 1.
 ///
-/// A line is `class u v`, a point, whose coordinates count from the centre of the first pixel, or
-/// `class u_min v_min u_max v_max [score]`, a box, whose coordinates count from the left upper corner of the picture. The class is a
-/// name of [`LANDMARK_CLASSES`].
-pub fn parse_detections(text: &str) -> Result<Vec<Detection>, DetectionError> {
-    let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-    lines.map(|(at, line)| parse_line(line).map_err(|what| DetectionError { line: at + 1, what })).collect()
+/// Lines without a word are skipped, and so are classes that no landmark has, such as a ball.
+///
+/// # Errors
+///
+/// Fails if a line is anything else.
+pub fn parse_detections(text: &str, classes: ClassList) -> Result<Vec<Detection>, DetectionError> {
+    let mut found = Vec::new();
+    for (at, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        let detection = parse_line(line, classes).map_err(|what| DetectionError { line: at + 1, what })?;
+        found.extend(is_of_landmarks(detection.class, classes).then_some(detection));
+    }
+    Ok(found)
 }
 
-fn parse_line(line: &str) -> Result<Detection, String> {
+fn parse_line(line: &str, classes: ClassList) -> Result<Detection, String> {
     let mut words = line.split_whitespace();
     let name = words.next().unwrap_or_default();
-    let class = LANDMARK_CLASSES.names.iter().position(|known| *known == name);
-    let class = class.ok_or_else(|| format!("{name:?} is none of {}", LANDMARK_CLASSES.names.join(", ")))?;
-    let numbers = words.map(finite).collect::<Result<Vec<f64>, String>>()?;
-    match numbers[..] {
-        [u, v] => Ok(Detection { class, at: DVec2::new(u, v), corners: None, score: None }),
-        [left, top, right, bottom] => boxed(class, [left, top, right, bottom], None),
-        [left, top, right, bottom, score] => boxed(class, [left, top, right, bottom], Some(score)),
-        _ => Err(format!("{} numbers behind the class", numbers.len())),
-    }
+    let class = classes.names.iter().position(|known| *known == name);
+    let class = class.ok_or_else(|| format!("{:?} is none of {}", quoted(name), classes.names.join(", ")))?;
+    let numbers = words.map(number).collect::<Result<Vec<f64>, String>>()?;
+    let corners = |[left, top, right, bottom]: [f64; 4]| {
+        let is_box = left <= right && top <= bottom;
+        is_box.then(|| [DVec2::new(left, top), DVec2::new(right, bottom)]).ok_or("the box ends before it begins")
+    };
+    let found = match numbers[..] {
+        [u, v] => Detection::point(class, DVec2::new(u, v), 1.0),
+        [u, v, score] => Detection::point(class, DVec2::new(u, v), score),
+        [a, b, c, d] => Detection::of_box(classes, class, corners([a, b, c, d])?, 1.0),
+        [a, b, c, d, score] => Detection::of_box(classes, class, corners([a, b, c, d])?, score),
+        _ => return Err(format!("{} numbers behind the class", numbers.len())),
+    };
+    let is_score = (0.0..=1.0).contains(&found.score);
+    is_score.then_some(found).ok_or_else(|| format!("the score is {}, and it is 0 to 1", found.score))
 }
 
-fn finite(word: &str) -> Result<f64, String> {
-    word.parse().ok().filter(|number: &f64| number.is_finite()).ok_or_else(|| format!("{word:?} is no finite number"))
+fn number(word: &str) -> Result<f64, String> {
+    let number = word.parse().ok().filter(f64::is_possible);
+    number.ok_or_else(|| format!("{:?} is no number of pixels or score", quoted(word)))
 }
 
-fn boxed(class: usize, [left, top, right, bottom]: [f64; 4], score: Option<f64>) -> Result<Detection, String> {
-    if left > right || top > bottom {
-        return Err("the box ends before it begins".to_owned());
-    }
-    let is_post = Some(class) == LANDMARK_CLASSES.class(LandmarkKind::PostFoot);
-    let v = if is_post { bottom } else { top.midpoint(bottom) };
-    let at = DVec2::new(left.midpoint(right), v) - 0.5;
-    Ok(Detection { class, at, corners: Some([DVec2::new(left, top), DVec2::new(right, bottom)]), score })
+fn quoted(word: &str) -> String {
+    word.chars().take(QUOTED_CHARACTERS).collect()
+}
+
+/// Whether a class of the list is that of landmarks.
+fn is_of_landmarks(class: usize, classes: ClassList) -> bool {
+    LandmarkKind::ALL.into_iter().any(|kind| classes.class(kind) == Some(class))
 }
 
 impl Labeller {
@@ -122,6 +157,7 @@ impl Labeller {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::BOOSTER_CLASSES;
     use glam::DMat2;
     use proptest::prelude::*;
     use realitysim_config::load_field;
@@ -138,27 +174,34 @@ mod tests {
     }
 
     fn point(class: usize, at: (f64, f64)) -> Detection {
-        Detection { class, at: at.into(), corners: None, score: None }
+        Detection { class, at: at.into(), is_box: false, score: 1.0 }
     }
 
     #[test]
-    fn points_and_boxes_are_read_and_nothing_else_is() {
-        let text = "x_crossing 10.5 -2\n\n  goalpost 10 20 14 80 0.75 \nt_crossing 1 2 3 4\n";
-        let found = parse_detections(text).unwrap();
-        assert_eq!(found[0], point(2, (10.5, -2.0)));
-        assert_eq!((found[1].at, found[1].score), (DVec2::new(11.5, 79.5), Some(0.75)));
-        assert_eq!((found[2].at, found[2].score), (DVec2::new(1.5, 2.5), None));
-        assert_eq!(parse_detections(" \n"), Ok(Vec::new()));
+    fn points_and_boxes_are_read_and_anything_else_is_named() {
+        let text = "l_crossing 10.5 20.5\n\nt_crossing 0 0 10 20 0.5\n  goalpost 4 0 6 50\n x_crossing 1 2 0.25\n";
+        let at = |class, u, v, is_box, score| Detection { class, at: DVec2::new(u, v), is_box, score };
+        let expected = [
+            at(0, 10.0, 20.0, false, 1.0),
+            at(1, 4.5, 9.5, true, 0.5),
+            at(5, 4.5, 49.5, true, 1.0),
+            at(2, 0.5, 1.5, false, 0.25),
+        ];
+        assert_eq!(parse_detections(text, LANDMARK_CLASSES).unwrap(), expected);
+        let booster = parse_detections("Ball 1 2\nLCross 1 2", BOOSTER_CLASSES);
+        assert_eq!(booster.unwrap(), [at(3, 0.5, 1.5, false, 1.0)], "no landmark is a ball");
+        assert_eq!(parse_detections(" \n", LANDMARK_CLASSES), Ok(Vec::new()));
         for (wrong, said) in [
             ("ball 1 2", "line 1: \"ball\" is none of l_crossing, t_crossing"),
-            ("centre 1 2\ncentre 1", "line 2: 1 numbers behind the class: `class u v` or"),
-            ("centre 1 2 0.5", "3 numbers"),
+            ("centre 1 2\ncentre 1", "line 2: 1 numbers behind the class: `class u v [score]` or"),
             ("centre 1 2 3 4 5 6", "6 numbers"),
-            ("centre 1 NaN", "\"NaN\" is no finite number"),
-            ("centre 1 two", "\"two\" is no finite number"),
+            ("centre 1 NaN", "\"NaN\" is no number"),
+            ("centre 1 two", "\"two\" is no number"),
+            ("centre 1 2 3", "the score is 3"),
             ("centre 3 2 1 4", "the box ends before it begins"),
+            ("Traceback (most recent call last):", "\"Traceback\" is none of"),
         ] {
-            let error = parse_detections(wrong).unwrap_err().to_string();
+            let error = parse_detections(wrong, LANDMARK_CLASSES).unwrap_err().to_string();
             assert!(error.contains(said), "{wrong}: {error}");
         }
     }
@@ -185,13 +228,21 @@ mod tests {
     proptest! {
         #[test]
         fn no_text_makes_the_parser_panic(text in "\\PC*|([a-z_]{1,12}( -?[0-9.e]{1,9}){0,6}\n){0,4}") {
-            let _ = parse_detections(&text);
+            for found in parse_detections(&text, LANDMARK_CLASSES).unwrap_or_default() {
+                prop_assert!(found.at.is_finite() && (0.0..=1.0).contains(&found.score), "{found:?}");
+            }
         }
 
         #[test]
         fn what_is_written_is_read_back(found in detections()) {
-            let line = |one: &Detection| format!("{} {} {}\n", LANDMARK_CLASSES.names[one.class], one.at.x, one.at.y);
-            prop_assert_eq!(parse_detections(&found.iter().map(line).collect::<String>()), Ok(found));
+            let line = |one: &Detection| {
+                format!("{} {} {}\n", LANDMARK_CLASSES.names[one.class], one.at.x + 0.5, one.at.y + 0.5)
+            };
+            let read = parse_detections(&found.iter().map(line).collect::<String>(), LANDMARK_CLASSES).unwrap();
+            prop_assert_eq!(read.len(), found.len());
+            for (read, found) in read.iter().zip(&found) {
+                prop_assert!(read.class == found.class && read.at.distance(found.at) < 1e-9, "{read:?} of {found:?}");
+            }
         }
 
         #[test]

@@ -25,6 +25,19 @@ pub enum LandmarkKind {
     PostTop,
 }
 
+impl LandmarkKind {
+    /// All kinds.
+    pub const ALL: [Self; 7] = [
+        Self::LCrossing,
+        Self::TCrossing,
+        Self::XCrossing,
+        Self::PenaltyMark,
+        Self::Centre,
+        Self::PostFoot,
+        Self::PostTop,
+    ];
+}
+
 /// A landmark of a field.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Landmark {

@@ -6,6 +6,9 @@
 //! write the formats of these names. [`parse_detections`] reads what a detector found, and [`Labeller::match_detections`] says of which
 //! landmarks that is.
 //!
+//! A [`RestingSphere`] is a ball or robot that a person points at in one image, with its box in others; its [`Appearance`] tells whether it
+//! is still there. [`Labeller::compare`] holds the answers of a detector against the landmarks.
+//!
 //! The crate is pure: poses, lenses and masks go in, annotations come out. See `docs/howto/training.md`.
 //!
 //! ```rust
@@ -27,24 +30,30 @@
 //! ```
 
 mod annotation;
+mod appearance;
 mod class_list;
 mod class_map;
 pub mod coco;
 mod detections;
+mod disagreement;
 mod goals;
 mod landmarks;
 mod outlines;
 mod paint;
 mod pose_covariance;
+mod sphere;
 pub mod yolo;
 
 pub use annotation::{Keypoint, LabelBox, Visibility};
+pub use appearance::Appearance;
 pub use class_list::{BOOSTER_CLASSES, ClassList, LANDMARK_CLASSES};
 pub use class_map::{Class, PosedImage};
 pub use detections::{Detection, DetectionError, parse_detections};
+pub use disagreement::{Comparison, Disagreement, Fault};
 pub use landmarks::{Landmark, LandmarkKind, landmarks};
 pub use outlines::Outline;
 pub use pose_covariance::PoseCovariance;
+pub use sphere::{MIN_SHOWN_SHARE, NoBox, NoSphere, POINTING_SIGMA_PX, RestingSphere, SphereBox};
 
 use glam::DVec2;
 

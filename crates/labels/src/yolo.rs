@@ -6,18 +6,22 @@ use core::fmt::Write;
 
 use glam::DVec2;
 
-use crate::{ClassList, Keypoint, LabelBox, Labeller, Outline, PosedImage, Visibility};
+use crate::{ClassList, Keypoint, LabelBox, Labeller, Outline, PosedImage, SphereBox, Visibility};
 
 /// Boxes: `class x y width height`, x and y of the middle.
 pub fn boxes(labeller: &Labeller, image: &PosedImage, classes: ClassList) -> String {
-    let size = size(image);
-    let mut text = String::new();
-    for LabelBox { kind, from, to, .. } in labeller.boxes(image) {
-        let Some(class) = classes.class(kind) else { continue };
-        let (middle, extent) = ((from + to) / 2.0 / size, (to - from) / size);
-        let _ = writeln!(text, "{class} {:.6} {:.6} {:.6} {:.6}", middle.x, middle.y, extent.x, extent.y);
-    }
-    text
+    let boxes = labeller.boxes(image).into_iter();
+    boxes.filter_map(|LabelBox { kind, from, to, .. }| Some(line(classes.class(kind)?, [from, to], image))).collect()
+}
+
+/// The box of a sphere, of the only class.
+pub fn sphere(found: &SphereBox, image: &PosedImage) -> String {
+    line(0, [found.from, found.to], image)
+}
+
+fn line(class: usize, [from, to]: [DVec2; 2], image: &PosedImage) -> String {
+    let (middle, extent) = ((from + to) / 2.0 / size(image), (to - from) / size(image));
+    format!("{class} {:.6} {:.6} {:.6} {:.6}\n", middle.x, middle.y, extent.x, extent.y)
 }
 
 /// Outlines of the painted lines, the only class: `class x1 y1 x2 y2 ...`.

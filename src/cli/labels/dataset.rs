@@ -10,15 +10,16 @@ use image::RgbImage;
 use super::super::opened_database::OpenedDatabase;
 use super::super::output;
 use super::super::paths::{make_folder, write, write_bytes};
-use super::super::pose_covariances::PoseCovariances;
+use super::make::{Classes, Format, MakeArguments, Report};
 use super::png_form::{FOLDERS, PngForm, TableRows};
+use super::posed_images::{IMAGES, PosedImages};
 use super::preview::{PREVIEWS, preview, sheet};
-use super::{Classes, Format, IMAGES, LabelsArguments, Report};
-use crate::database::training_set::{is_held_out, precise_records};
+use super::yolo_set::write_yolo_set;
+use crate::database::training_set::precise_records;
 use crate::database::{ImageDatabase, Record, in_parallel};
 use crate::labels::coco::{Coco, CocoImage};
 use crate::labels::yolo;
-use crate::labels::{BOOSTER_CLASSES, Class, ClassList, LANDMARK_CLASSES, Labeller, PosedImage, Visibility};
+use crate::labels::{Class, ClassList, Labeller, PosedImage, Visibility};
 use crate::recording::Loss;
 
 /// Images that are labelled before their results are put together.
@@ -37,8 +38,8 @@ struct Labelled {
 }
 
 /// Labels the images of a database.
-pub(super) fn label_all(arguments: &LabelsArguments, opened: &OpenedDatabase) -> anyhow::Result<Report> {
-    let LabelsArguments { output: folder, max_sigma, .. } = arguments;
+pub(super) fn label_all(arguments: &MakeArguments, opened: &OpenedDatabase) -> anyhow::Result<Report> {
+    let MakeArguments { output: folder, max_sigma, .. } = arguments;
     let database = &opened.database;
     let (chosen, imprecise) = precise_records(database, *max_sigma)?;
     let job = Job::new(arguments, database)?;
@@ -74,7 +75,7 @@ pub(super) fn label_all(arguments: &LabelsArguments, opened: &OpenedDatabase) ->
 }
 
 fn report(
-    arguments: &LabelsArguments,
+    arguments: &MakeArguments,
     opened: &OpenedDatabase,
     done: &[Labelled],
     imprecise: usize,
@@ -108,23 +109,19 @@ enum Failure {
 
 /// What is the same for all images.
 struct Job<'a> {
-    database: &'a ImageDatabase,
+    images: PosedImages<'a>,
     labeller: Labeller,
-    covariances: PoseCovariances,
     format: Format,
     classes: ClassList,
     folder: &'a Path,
 }
 
 impl<'a> Job<'a> {
-    fn new(arguments: &'a LabelsArguments, database: &'a ImageDatabase) -> anyhow::Result<Self> {
+    fn new(arguments: &'a MakeArguments, database: &'a ImageDatabase) -> anyhow::Result<Self> {
         let labeller = Labeller::new(database.field(), database.world().has_goals());
-        let covariances = PoseCovariances::of(database)?;
-        let classes = match arguments.classes {
-            None | Some(Classes::Landmarks) => LANDMARK_CLASSES,
-            Some(Classes::Booster) => BOOSTER_CLASSES,
-        };
-        Ok(Self { database, labeller, covariances, format: arguments.format, classes, folder: &arguments.output })
+        let classes = arguments.classes.unwrap_or(Classes::Landmarks).list();
+        let images = PosedImages::new(database)?;
+        Ok(Self { images, labeller, format: arguments.format, classes, folder: &arguments.output })
     }
 
     fn make_folders(&self) -> anyhow::Result<()> {
@@ -138,20 +135,13 @@ impl<'a> Job<'a> {
 
     /// Labels an image, and writes it with the files that it has alone. `place` is its number among all images that are labelled.
     fn label(&self, place: usize, number: usize, record: &Record, previewed: bool) -> Result<Labelled, Failure> {
-        let image = self.database.image(number).map_err(Failure::Unreadable)?;
-        let file = self.database.file_of(record).map_err(Failure::Unreadable)?;
-        let ending = self.database.ending_of(record).map_err(Failure::Unreadable)?;
-        let camera =
-            self.database.camera(record).ok_or_else(|| Failure::Unreadable("an image without a lens".to_owned()))?;
+        let database = self.images.database();
+        let image = database.image(number).map_err(Failure::Unreadable)?;
+        let file = database.file_of(record).map_err(Failure::Unreadable)?;
+        let ending = database.ending_of(record).map_err(Failure::Unreadable)?;
         let name = format!("{number:06}.{ending}");
         let shown = image.full().mask();
-        let posed = PosedImage {
-            camera,
-            map_from_link: record.pose(),
-            covariance: self.covariances.get(record),
-            shown: &shown,
-            body: self.database.body(record.source),
-        };
+        let posed = self.images.posed(record, &shown).map_err(Failure::Unreadable)?;
         let classes = self.labeller.classes(&posed);
         write_bytes(&self.folder.join(IMAGES).join(&name), &file).map_err(Failure::Output)?;
         let rows = self.write_own(&name, &posed, &classes).map_err(Failure::Output)?;
@@ -164,17 +154,17 @@ impl<'a> Job<'a> {
             sigmas_px: visible.map(|keypoint| keypoint.sigma_px).collect(),
             ignored: classes
                 .iter()
-                .zip(camera.shows())
+                .zip(posed.camera.shows())
                 .filter(|(class, drawn)| **drawn && **class == Class::Ignore)
                 .count(),
-            pixels: camera.shows().iter().filter(|drawn| **drawn).count(),
+            pixels: posed.camera.shows().iter().filter(|drawn| **drawn).count(),
             preview: previewed.then(|| preview(&self.labeller, &posed, image.full(), &classes)),
             file: name,
         })
     }
 
     fn png(&self) -> PngForm<'_> {
-        PngForm { folder: self.folder, labeller: &self.labeller, world: self.database.world() }
+        PngForm { folder: self.folder, labeller: &self.labeller, world: self.images.database().world() }
     }
 
     /// Writes the files that an image has alone. Returns its lines in the tables of the form png.
@@ -211,29 +201,20 @@ impl<'a> Job<'a> {
 
     /// Writes which images are for the training and which for the test, and what the classes and keypoints are.
     fn write_yolo(&self, done: &[Labelled]) -> anyhow::Result<()> {
-        let list = |held_out: bool| -> String {
-            let images = done.iter().enumerate();
-            let own = images.filter(|(place, _)| is_held_out(*place) == held_out);
-            own.map(|(_, labelled)| format!("./{IMAGES}/{}\n", labelled.file)).collect()
-        };
-        write(&self.folder.join("train.txt"), &list(false))?;
-        write(&self.folder.join("val.txt"), &list(true))?;
         let names: &[&str] = match self.format {
             Format::YoloSeg => &["line"],
             Format::YoloPose => &["field"],
             _ => self.classes.names,
         };
-        let mut text = String::from("# Labels made by `realitysim labels`.\ntrain: train.txt\nval: val.txt\n");
+        let mut more = String::new();
         if self.format == Format::YoloPose {
             let landmarks: Vec<&str> =
                 self.labeller.landmarks().iter().map(|landmark| landmark.name.as_str()).collect();
-            let _ = writeln!(text, "kpt_shape: [{}, 3]", landmarks.len());
-            let _ = writeln!(text, "flip_idx: {:?}", yolo::mirrored(&self.labeller));
-            let _ = writeln!(text, "# Keypoints: {}", landmarks.join(" "));
+            let _ = writeln!(more, "kpt_shape: [{}, 3]", landmarks.len());
+            let _ = writeln!(more, "flip_idx: {:?}", yolo::mirrored(&self.labeller));
+            let _ = writeln!(more, "# Keypoints: {}", landmarks.join(" "));
         }
-        text.push_str("names:\n");
-        names.iter().enumerate().for_each(|(number, name)| _ = writeln!(text, "  {number}: {name}"));
-        write(&self.folder.join("data.yaml"), &text)?;
-        Ok(())
+        let files: Vec<&str> = done.iter().map(|labelled| labelled.file.as_str()).collect();
+        write_yolo_set(self.folder, &files, &more, names)
     }
 }

@@ -6,8 +6,8 @@ use anyhow::Context;
 
 use super::super::export::frames::{clear_folder, own_folder};
 use super::super::paths::make_folder;
-use super::IMAGES;
 use super::png_form::{FOLDERS, PngForm};
+use super::posed_images::IMAGES;
 use super::preview::{preview, sheet};
 use crate::database::{ImageDatabase, ViewResult};
 use crate::service::LabelledView;

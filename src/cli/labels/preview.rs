@@ -3,6 +3,7 @@
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
 
+use super::drawing::{cross, frame_box};
 use crate::evaluation::drawing::panels;
 use crate::labels::{Class, Labeller, PosedImage, Visibility};
 use crate::views::Raster;
@@ -30,15 +31,7 @@ pub(super) fn preview(labeller: &Labeller, posed: &PosedImage, image: &Raster, c
         }));
     }
     for found in labeller.boxes(posed) {
-        let [left, top, right, bottom] = [found.from.x, found.from.y, found.to.x, found.to.y].map(|value| value as i64);
-        for u in left..=right {
-            dot(&mut picture, u, top, [0, 255, 255]);
-            dot(&mut picture, u, bottom, [0, 255, 255]);
-        }
-        for v in top..=bottom {
-            dot(&mut picture, left, v, [0, 255, 255]);
-            dot(&mut picture, right, v, [0, 255, 255]);
-        }
+        frame_box(&mut picture, found.from, found.to, Rgb([0, 255, 255]));
     }
     for keypoint in labeller.keypoints(posed) {
         let tint = match keypoint.visibility {
@@ -46,11 +39,7 @@ pub(super) fn preview(labeller: &Labeller, posed: &PosedImage, image: &Raster, c
             Visibility::Hidden => [128; 3],
             Visibility::Visible => [255, 255, 0],
         };
-        let (u, v) = (keypoint.at.x.round() as i64, keypoint.at.y.round() as i64);
-        for step in -CROSS_PX..=CROSS_PX {
-            dot(&mut picture, u + step, v, tint);
-            dot(&mut picture, u, v + step, tint);
-        }
+        cross(&mut picture, keypoint.at, CROSS_PX, Rgb(tint));
     }
     let height = (WIDTH_PX * picture.height()).div_ceil(picture.width().max(1));
     imageops::resize(&picture, WIDTH_PX, height.max(1), FilterType::Triangle)
@@ -70,14 +59,5 @@ fn colour(class: Class) -> Option<[u8; 3]> {
         Class::Net => Some([0, 160, 255]),
         Class::Body => Some([255, 0, 255]),
         Class::Ignore => Some([0, 0, 0]),
-    }
-}
-
-fn dot(picture: &mut RgbImage, u: i64, v: i64, colour: [u8; 3]) {
-    if let (Ok(u), Ok(v)) = (u32::try_from(u), u32::try_from(v))
-        && u < picture.width()
-        && v < picture.height()
-    {
-        picture.put_pixel(u, v, Rgb(colour));
     }
 }

@@ -3,7 +3,6 @@
 mod accuracy;
 mod contrast;
 mod cost;
-mod detector;
 mod falsify;
 mod gap;
 mod paper;

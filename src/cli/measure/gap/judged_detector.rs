@@ -6,15 +6,15 @@ use anyhow::Context;
 use image::{Rgb, RgbImage};
 use tempfile::TempDir;
 
-use super::super::detector::run_detector;
 use super::forms::{FORMS, HeldOut, WITHOUT_GOALS};
+use crate::cli::detector::run_detector;
 use crate::cli::paths::{save, temporary};
 use crate::cli::pose_covariances::PoseCovariances;
 use crate::database::ImageDatabase;
 use crate::evaluation::perception::{
     Delay, DetectorReport, ErrorModel, JudgedPicture, Observations, angular_speeds, observe,
 };
-use crate::labels::{Detection, Labeller, PosedImage, Visibility, parse_detections};
+use crate::labels::{Detection, LANDMARK_CLASSES, Labeller, PosedImage, Visibility, parse_detections};
 use crate::views::{Raster, SURE};
 
 /// Half the length of a cross at a landmark or detection, pixels.
@@ -95,7 +95,7 @@ impl<'a> JudgedDetector<'a> {
         let start = Instant::now();
         let answer = run_detector(self.command, &file)?;
         let time_ms = start.elapsed().as_secs_f64() * 1e3;
-        let detections = parse_detections(&answer).with_context(|| format!("--detector {:?} printed", self.command))?;
+        let detections = parse_detections(&answer, LANDMARK_CLASSES).with_context(|| format!("--detector {:?} printed", self.command))?;
         Ok((detections, time_ms))
     }
 }

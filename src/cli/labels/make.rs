@@ -1,0 +1,108 @@
+//! Command `realitysim labels`: makes annotations for the training of detectors out of tags.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use super::super::export::frames::{clear_folder, own_folder};
+use super::super::opened_database::OpenedDatabase;
+use super::super::paths::check_output;
+use super::super::settings::UsageError;
+use super::super::values::number;
+use super::super::{Outcome, output};
+use super::dataset;
+use crate::database::TagLimits;
+use crate::labels::{BOOSTER_CLASSES, ClassList, LANDMARK_CLASSES};
+use crate::recording::Loss;
+
+/// What labels are made of, and in which form.
+#[derive(Args)]
+pub struct MakeArguments {
+    /// A capture's folder, one of its segments, or a database's folder
+    pub(super) input: PathBuf,
+    /// Form of the labels
+    #[arg(long)]
+    pub(super) format: Format,
+    /// Folder to write, outside of any capture
+    #[arg(short, long)]
+    pub(super) output: PathBuf,
+    /// Of yolo: a class for each kind of landmark, or the classes of Booster's RoboCup demo [default: landmarks]
+    #[arg(long)]
+    pub(super) classes: Option<Classes>,
+    /// Only images whose place is known this well: standard deviation along its longer axis, 0.001 to 1
+    #[arg(long, value_name = "M", default_value_t = TagLimits::default().sigma_m, value_parser = number(0.001..=1.0))]
+    pub(super) max_sigma: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+pub(super) enum Format {
+    Coco,
+    Yolo,
+    YoloSeg,
+    YoloPose,
+    Png,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+pub(super) enum Classes {
+    Landmarks,
+    Booster,
+}
+
+impl Classes {
+    /// Names and numbers of the classes.
+    pub(super) fn list(self) -> ClassList {
+        match self {
+            Self::Landmarks => LANDMARK_CLASSES,
+            Self::Booster => BOOSTER_CLASSES,
+        }
+    }
+}
+
+#[derive(Serialize)]
+pub(super) struct Report {
+    pub(super) output: PathBuf,
+    pub(super) images: usize,
+    /// Images whose place is not known well enough.
+    pub(super) imprecise: usize,
+    /// Number of landmarks that can be seen, over all images.
+    pub(super) visible_landmarks: usize,
+    /// Median standard deviation of these, pixels.
+    pub(super) sigma_px: Option<f64>,
+    /// Share of the pixels that are ignored.
+    pub(super) ignored_share: f64,
+    /// Images a second, pictures and labels written.
+    pub(super) images_per_s: f64,
+    pub(super) lost: Vec<Loss>,
+}
+
+pub fn run(arguments: &MakeArguments, json: bool) -> anyhow::Result<Outcome> {
+    let MakeArguments { input, output, max_sigma, .. } = arguments;
+    check_output(output, &[input])?;
+    if arguments.classes.is_some() && arguments.format != Format::Yolo {
+        return Err(
+            UsageError("--classes is for --format yolo: the other forms have classes of their own".to_owned()).into()
+        );
+    }
+    own_folder(output)?;
+    let report = OpenedDatabase::of(input, *max_sigma).and_then(|opened| dataset::label_all(arguments, &opened));
+    if report.is_err() {
+        clear_folder(output);
+    }
+    let report = report?;
+    output::losses(&report.lost);
+    if json {
+        output::json(&report)?;
+    } else {
+        let Report { images, imprecise, visible_landmarks, sigma_px, ignored_share, images_per_s, .. } = &report;
+        let sigma = sigma_px.map_or(String::new(), |sigma| format!(", known to {sigma:.2} px (median)"));
+        output::lines(&format!(
+            "{images} images labelled in {}, {images_per_s:.0} a second; {imprecise} left out, whose place is not known well enough\n\
+             {visible_landmarks} landmarks to be seen{sigma}; {:.1} % of the pixels are to be ignored",
+            report.output.display(),
+            100.0 * ignored_share
+        ))?;
+    }
+    Ok(Outcome::of(&report.lost))
+}
