@@ -95,7 +95,8 @@ impl<'a> JudgedDetector<'a> {
         let start = Instant::now();
         let answer = run_detector(self.command, &file)?;
         let time_ms = start.elapsed().as_secs_f64() * 1e3;
-        let detections = parse_detections(&answer, LANDMARK_CLASSES).with_context(|| format!("--detector {:?} printed", self.command))?;
+        let detections = parse_detections(&answer, LANDMARK_CLASSES)
+            .with_context(|| format!("--detector {:?} printed", self.command))?;
         Ok((detections, time_ms))
     }
 }
