@@ -39,7 +39,7 @@ use tables::tables;
 #[command(after_long_help = concat!(
     "Examples:",
     "\n  realitysim measure gap --db images/ --frames 40 -o gap.png",
-    "\n  realitysim measure gap --db images/ --frames 200 --detector './detect.py' --error-model errors.json",
+    "\n  realitysim measure gap --db images/ --detector ./detect.py --error-model errors.json",
 ))]
 pub struct GapArguments {
     /// The database's folder
