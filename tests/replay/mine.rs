@@ -83,7 +83,7 @@ fn a_detector_that_fails_is_named_with_its_picture() {
         room.run_words(&["labels", "mine", "db", "--detector", &own, "-o", out], &[])
     };
     detector(&room, "nonsense.sh", "");
-    let said = ["000002.png", "nonsense 1 2", "the classes are l_crossing"];
+    let said = ["000002.png", "line 1", "\"nonsense\" is none of l_crossing"];
     mine("nonsense.sh", "some").fails(3, &said);
     assert!(fs::exists(room.path("some/disagreements.csv")).unwrap());
     detector(&room, "dies.sh", "case $1 in *1.png) exit 4;; esac");
