@@ -31,7 +31,7 @@ pub(super) enum Finding {
 const BATCH: usize = 64;
 /// Least similarity of a frame that sees the object.
 ///
-/// Of rendered balls that nothing hides it is 0.67 and more; of those that are gone, hidden for the most part or moved by their own
+/// Of rendered balls that nothing hides it is 0.61 and more; of those that are gone, hidden for the most part or moved by their own
 /// diameter at most 0.58, and that where a leg of the ball's colour stands before it (printed by
 /// `cargo test --release --test integration -- replay::propagate --nocapture`).
 const MIN_SIMILARITY: f64 = 0.6;
