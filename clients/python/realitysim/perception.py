@@ -56,8 +56,8 @@ class ErrorModel:
             off_axis_deg = math.degrees(math.acos(np.clip(axis @ ray / np.linalg.norm(ray), -1.0, 1.0)))
             distance_m = math.hypot(ray[0], ray[1])
             cell = self.cell(name, distance_m, off_axis_deg, speed_deg_s) if 2.0 * off_axis_deg <= fov_deg else None
-            ground = cell and cell["ground"]
-            if ground and random.random() < cell["detection_probability"]["value"]:
+            if cell is not None and cell["ground"] is not None and random.random() < cell["detection_probability"]["value"]:
+                ground = cell["ground"]
                 bias = [ground["bearing_bias_deg"], ground["distance_bias_m"]]
                 error = random.multivariate_normal(bias, ground["covariance"] or np.zeros((2, 2))).tolist()
                 bearing_deg = math.degrees(math.atan2(ray[1], ray[0])) - yaw_deg + error[0]
@@ -76,4 +76,7 @@ class ErrorModel:
 
 
 def _holds(band: Optional[List[Optional[float]]], value: Optional[float]) -> bool:
-    return band is None or (value is not None and band[0] <= value and (band[1] is None or value < band[1]))
+    if band is None or value is None:
+        return band is None
+    low, high = band
+    return (low is None or low <= value) and (high is None or value < high)
