@@ -26,6 +26,7 @@ mod junit;
 mod labels;
 mod live;
 mod log;
+mod marks;
 mod measure;
 mod opened_database;
 mod output;

@@ -60,7 +60,7 @@ fn a_walk_on_a_field_of_wrong_size_gives_lens_mount_and_field() {
 
 /// On a robot the announced mount is the config's own, and the calibration corrects it.
 #[test]
-#[ignore = "takes a minute: `cargo test --release --test integration -- replay::calibrate --ignored`"]
+#[ignore = "takes half a minute: `cargo test --release --test integration -- replay::calibrate --ignored`"]
 fn the_mount_of_a_recorded_walk_is_corrected_in_its_config() {
     let room = wrong_walk();
     let session = session_name(&room.replay("log.mcap"));
@@ -97,7 +97,7 @@ fn what_a_walk_does_not_determine_is_named_and_not_written() {
 }
 
 #[test]
-#[ignore = "takes a minute: `cargo test --release --test integration -- replay::calibrate --ignored`"]
+#[ignore = "takes half a minute: `cargo test --release --test integration -- replay::calibrate --ignored`"]
 fn what_cannot_be_calibrated_is_told() {
     let room = Room::with_walk();
     room.write_scene("scene.toml", |text| text);

@@ -175,7 +175,7 @@ fn a_small_range_of_poses_reads_few_row_groups() {
 
 /// Figures of docs/howto/catalogue.md, of a million rows: in one file, and as fifty sessions.
 #[test]
-#[ignore = "prints figures"]
+#[ignore = "prints the figures of docs/howto/catalogue.md, whose command stands there"]
 fn a_million_rows() {
     let folder = tempfile::tempdir().unwrap();
     for (sessions, count) in [(1, 1_000_000), (50, SESSION_ROWS)] {

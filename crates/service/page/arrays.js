@@ -2,7 +2,8 @@
 
 const LOCAL_FILE = 0x04034b50;
 const CENTRAL_FILE = 0x02014b50;
-const KINDS = { '|u1': Uint8Array, '<f4': Float32Array, '<i8': BigInt64Array, '<f8': Float64Array };
+/** The types of numbers that views have. */
+const KINDS = { '|u1': Uint8Array, '<f4': Float32Array };
 
 /** The arrays of an archive by name: `shape`, and `values` row by row. */
 export function readArrays(buffer) {

@@ -66,7 +66,7 @@ pub use hall::Hall;
 pub use hall_fit::{HallFit, HallImage, fit_hall};
 pub use moved_blocks::{BlockImage, block_grid, moved_blocks};
 pub use photometry::{Gain, Vignetting};
-pub use raster::{NOTHING, Pyramid, Raster, SURE, UNSURE};
+pub use raster::{NOTHING, Pyramid, Raster, SURE, UNSURE, luma};
 pub use similarity::{Similarity, similarity};
 pub use synthesized_view::{
     Candidate, FAR_M, MAX_FAR_M, MAX_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MIN_HEIGHT_M, Method, Provenance, Request,

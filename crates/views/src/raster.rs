@@ -178,6 +178,11 @@ impl Inset {
     }
 }
 
+/// Brightness of a pixel (red, green, blue and mask), 0 to 255, with the weights of ITU-R BT.601.
+pub fn luma([red, green, blue, _]: [u8; 4]) -> u8 {
+    ((77 * u32::from(red) + 150 * u32::from(green) + 29 * u32::from(blue)) >> 8) as u8
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

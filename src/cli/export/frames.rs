@@ -91,8 +91,20 @@ pub(in super::super) fn own_folder(folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Removes what a failed export has written into a folder of its own, so that nobody takes it for a whole one.
-pub(in super::super) fn clear_folder(folder: &Path) {
+/// Fills a folder of its own by `fill`. What a failure leaves is removed, so that nobody takes it for a whole one.
+pub(in super::super) fn fill_own_folder<T>(
+    folder: &Path,
+    fill: impl FnOnce() -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
+    own_folder(folder)?;
+    let filled = fill();
+    if filled.is_err() {
+        clear_folder(folder);
+    }
+    filled
+}
+
+fn clear_folder(folder: &Path) {
     for entry in fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
         let path = entry.path();
         let _ = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };

@@ -9,7 +9,7 @@ use super::super::opened_database::OpenedDatabase;
 use super::super::output;
 use super::super::paths::{make_folder, write, write_bytes};
 use super::super::settings::UsageError;
-use super::frames::{clear_folder, own_folder};
+use super::frames::fill_own_folder;
 use crate::database::ImageDatabase;
 use crate::database::training_set::{TrainingImage, TrainingSet, colmap, nerfstudio};
 use crate::recording::Loss;
@@ -32,18 +32,14 @@ pub(super) fn training_set(
     max_sigma_m: f64,
     folder: &Path,
 ) -> anyhow::Result<(usize, Vec<Loss>)> {
-    own_folder(folder)?;
-    let written = OpenedDatabase::of(input, max_sigma_m).and_then(|opened| {
+    fill_own_folder(folder, || {
+        let opened = OpenedDatabase::of(input, max_sigma_m)?;
         let (written, mut lost) = write_set(&opened.database, trainer, max_sigma_m, folder)?;
         for loss in opened.lost {
             loss.join(&mut lost);
         }
         Ok((written, lost))
-    });
-    if written.is_err() {
-        clear_folder(folder);
-    }
-    written
+    })
 }
 
 fn write_set(

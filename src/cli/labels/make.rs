@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::super::export::frames::{clear_folder, own_folder};
+use super::super::export::frames::fill_own_folder;
 use super::super::opened_database::OpenedDatabase;
 use super::super::paths::check_output;
 use super::super::settings::UsageError;
@@ -85,12 +85,7 @@ pub fn run(arguments: &MakeArguments, json: bool) -> anyhow::Result<Outcome> {
             UsageError("--classes is for --format yolo: the other forms have classes of their own".to_owned()).into()
         );
     }
-    own_folder(output)?;
-    let report = OpenedDatabase::of(input, *max_sigma).and_then(|opened| dataset::label_all(arguments, &opened));
-    if report.is_err() {
-        clear_folder(output);
-    }
-    let report = report?;
+    let report = fill_own_folder(output, || dataset::label_all(arguments, &OpenedDatabase::of(input, *max_sigma)?))?;
     output::losses(&report.lost);
     if json {
         output::json(&report)?;

@@ -1,7 +1,6 @@
 //! Commands `realitysim labels`: annotations for the training of detectors, made out of tags, and what detectors make of them.
 
 mod dataset;
-mod drawing;
 mod make;
 mod mine;
 mod of_view;

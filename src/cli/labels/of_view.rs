@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use super::super::export::frames::{clear_folder, own_folder};
+use super::super::export::frames::fill_own_folder;
 use super::super::paths::make_folder;
 use super::png_form::{FOLDERS, PngForm};
 use super::posed_images::IMAGES;
@@ -22,31 +22,17 @@ pub fn label_view(
     figures_m: &[f32],
     save: impl FnOnce(&Path) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    own_folder(folder)?;
-    let written = write_all(folder, file, database, shown, figures_m, save);
-    if written.is_err() {
-        clear_folder(folder);
-    }
-    written
-}
-
-fn write_all(
-    folder: &Path,
-    file: &str,
-    database: &ImageDatabase,
-    shown: &ViewResult,
-    figures_m: &[f32],
-    save: impl FnOnce(&Path) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
-    let view = LabelledView::new(database, shown, figures_m);
-    [IMAGES].iter().chain(&FOLDERS).try_for_each(|name| make_folder(&folder.join(name)))?;
-    save(&folder.join(IMAGES).join(file))?;
-    let (labeller, posed) = (view.labeller(), view.posed_image());
-    let classes = labeller.classes(&posed);
-    let form = PngForm { folder, labeller, world: database.world() };
-    let rows = form.write_image(file, &posed, &classes)?;
-    form.write_tables([&rows].into_iter())?;
-    let looked_at = preview(labeller, &posed, &shown.answer.image, &classes);
-    let path = folder.join("preview.jpg");
-    sheet(&[(looked_at, file.to_owned())]).save(&path).with_context(|| path.display().to_string())
+    fill_own_folder(folder, || {
+        let view = LabelledView::new(database, shown, figures_m);
+        [IMAGES].iter().chain(&FOLDERS).try_for_each(|name| make_folder(&folder.join(name)))?;
+        save(&folder.join(IMAGES).join(file))?;
+        let (labeller, posed) = (view.labeller(), view.posed_image());
+        let classes = labeller.classes(&posed);
+        let form = PngForm { folder, labeller, world: database.world() };
+        let rows = form.write_image(file, &posed, &classes)?;
+        form.write_tables([&rows].into_iter())?;
+        let looked_at = preview(labeller, &posed, &shown.answer.image, &classes);
+        let path = folder.join("preview.jpg");
+        sheet(&[(looked_at, file.to_owned())]).save(&path).with_context(|| path.display().to_string())
+    })
 }

@@ -3,7 +3,7 @@
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
 
-use super::drawing::{cross, frame_box};
+use super::super::marks::{UPRIGHT, cross, frame_box};
 use crate::evaluation::drawing::panels;
 use crate::labels::{Class, Labeller, PosedImage, Visibility};
 use crate::views::Raster;
@@ -39,7 +39,7 @@ pub(super) fn preview(labeller: &Labeller, posed: &PosedImage, image: &Raster, c
             Visibility::Hidden => [128; 3],
             Visibility::Visible => [255, 255, 0],
         };
-        cross(&mut picture, keypoint.at, CROSS_PX, Rgb(tint));
+        cross(&mut picture, keypoint.at, UPRIGHT, CROSS_PX, Rgb(tint));
     }
     let height = (WIDTH_PX * picture.height()).div_ceil(picture.width().max(1));
     imageops::resize(&picture, WIDTH_PX, height.max(1), FilterType::Triangle)

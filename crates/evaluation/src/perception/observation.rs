@@ -4,7 +4,7 @@ use glam::{DMat2, DQuat, DVec2, DVec3};
 
 use realitysim_geometry::{Isometry, Lens, wrap_angle};
 use realitysim_labels::{Detection, Keypoint, LANDMARK_CLASSES, Labeller, PosedImage, Visibility};
-use realitysim_views::{NOTHING, Raster};
+use realitysim_views::{NOTHING, Raster, luma};
 
 use super::bands::Light;
 
@@ -161,9 +161,9 @@ fn mean_luma(image: &Raster, at: DVec2) -> f64 {
     let (mut sum, mut count) = (0u64, 0u64);
     for v in range(at.y, image.height) {
         for u in range(at.x, image.width) {
-            let [r, g, b, mask] = image.pixels[v * image.width + u];
-            if mask != NOTHING {
-                sum += (77 * u64::from(r) + 150 * u64::from(g) + 29 * u64::from(b)) >> 8;
+            let pixel = image.pixels[v * image.width + u];
+            if pixel[3] != NOTHING {
+                sum += u64::from(luma(pixel));
                 count += 1;
             }
         }

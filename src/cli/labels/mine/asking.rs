@@ -7,9 +7,9 @@ use anyhow::{Context, bail};
 use tempfile::TempDir;
 
 use super::super::super::detector::run_detector;
+use super::super::super::marks::rgb;
 use super::super::super::output;
 use super::super::super::paths::{save, temporary};
-use super::super::drawing::rgb;
 use super::super::posed_images::PosedImages;
 use crate::database::Record;
 use crate::labels::{ClassList, Comparison, Labeller, parse_detections};

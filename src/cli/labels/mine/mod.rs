@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::super::export::frames::{clear_folder, own_folder};
+use super::super::export::frames::fill_own_folder;
 use super::super::opened_database::OpenedDatabase;
 use super::super::paths::check_output;
 use super::super::values::number;
@@ -98,12 +98,7 @@ struct FrameRow {
 pub fn run(arguments: &MineArguments, json: bool) -> anyhow::Result<Outcome> {
     let MineArguments { input, output, .. } = arguments;
     check_output(output, &[input])?;
-    own_folder(output)?;
-    let report = mine(arguments);
-    if report.is_err() {
-        clear_folder(output);
-    }
-    let report = report?;
+    let report = fill_own_folder(output, || mine(arguments))?;
     output::losses(&report.lost);
     if json {
         output::json(&report)?;

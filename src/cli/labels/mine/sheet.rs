@@ -4,7 +4,7 @@ use glam::DVec2;
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
 
-use super::super::drawing::{cross, frame_box, line, rgb};
+use super::super::super::marks::{UPRIGHT, cross, frame_box, line, rgb};
 use super::asking::{Asking, Judged};
 use crate::evaluation::drawing::panels;
 use crate::labels::{Disagreement, Fault, LabelBox};
@@ -57,7 +57,7 @@ fn picture(asking: &Asking, judged: &Judged) -> anyhow::Result<RgbImage> {
             (Fault::Displaced, Some(at), Some(found)) => {
                 mark(&mut page, scale, own_box, *at, DISPLACED);
                 line(&mut page, on_page(*at, scale), on_page(*found, scale), DISPLACED);
-                cross(&mut page, on_page(*found, scale), CROSS_PX, DISPLACED);
+                cross(&mut page, on_page(*found, scale), UPRIGHT, CROSS_PX, DISPLACED);
             }
             (_, _, Some(found)) => mark(&mut page, scale, None, *found, FALSE),
             _ => {}
@@ -72,7 +72,7 @@ fn mark(page: &mut RgbImage, scale: f64, own_box: Option<&LabelBox>, at: DVec2, 
     let (from, to) =
         own_box.map_or((at - PLACE_PX, at + PLACE_PX), |own_box| (own_box.from * scale, own_box.to * scale));
     frame_box(page, from, to, colour);
-    cross(page, at, CROSS_PX, colour);
+    cross(page, at, UPRIGHT, CROSS_PX, colour);
 }
 
 fn on_page(at: DVec2, scale: f64) -> DVec2 {

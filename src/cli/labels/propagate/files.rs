@@ -5,8 +5,8 @@ use std::path::Path;
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
 
+use super::super::super::marks::{frame_box, rgb};
 use super::super::super::paths::{make_folder, save, write, write_bytes};
-use super::super::drawing::{frame_box, rgb};
 use super::super::posed_images::{IMAGES, PosedImages};
 use super::super::yolo_set::write_yolo_set;
 use super::BoxFormat;

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use super::super::export::frames::{clear_folder, own_folder};
+use super::super::export::frames::fill_own_folder;
 use super::super::opened_database::OpenedDatabase;
 use super::super::paths::check_output;
 use super::super::settings::UsageError;
@@ -82,7 +82,7 @@ struct Report {
     labelled: usize,
     /// Frames that should see it, and show something else.
     something_else: usize,
-    /// Frames whose box would be off by more than a fifth of its side.
+    /// Frames of whose box twice the standard deviation is more than a third of its side.
     uncertain: usize,
     /// Frames in which it is too small.
     small: usize,
@@ -128,12 +128,7 @@ pub fn run(arguments: &PropagateArguments, json: bool) -> anyhow::Result<Outcome
         ))
         .into());
     }
-    own_folder(output)?;
-    let report = propagate(arguments, from_s..=to_s);
-    if report.is_err() {
-        clear_folder(output);
-    }
-    let report = report?;
+    let report = fill_own_folder(output, || propagate(arguments, from_s..=to_s))?;
     output::losses(&report.lost);
     if json {
         output::json(&report)?;

@@ -8,6 +8,7 @@ use tempfile::TempDir;
 
 use super::forms::{FORMS, HeldOut, WITHOUT_GOALS};
 use crate::cli::detector::run_detector;
+use crate::cli::marks::{DIAGONAL, UPRIGHT, cross, rgb};
 use crate::cli::paths::{save, temporary};
 use crate::cli::pose_covariances::PoseCovariances;
 use crate::database::ImageDatabase;
@@ -57,7 +58,7 @@ impl<'a> JudgedDetector<'a> {
     /// Has the detector look at one form of an image. Returns the form with what it found.
     pub fn look(&mut self, held_out: &HeldOut, form: usize) -> anyhow::Result<RgbImage> {
         let image = &held_out.images[form];
-        let mut picture = rgb(image);
+        let mut picture = rgb(image)?;
         let (detections, time_ms) = self.ask(&picture)?;
         let shown = judged_pixels(&held_out.images[0], image);
         let labeller = if form == WITHOUT_GOALS { &self.without_goals } else { &self.labeller };
@@ -131,25 +132,10 @@ fn draw(picture: &mut RgbImage, judged: &JudgedPicture, detections: &[Detection]
     let keypoints = judged.labeller.keypoints(&judged.image);
     let matched = judged.labeller.match_detections(&keypoints, detections, judged.image.camera.width());
     for keypoint in keypoints.iter().filter(|keypoint| keypoint.visibility == Visibility::Visible) {
-        cross(picture, keypoint.at, [(1, 0), (0, 1)], [255, 255, 0]);
+        cross(picture, keypoint.at, UPRIGHT, CROSS_PX, Rgb([255, 255, 0]));
     }
     for (found, of) in detections.iter().zip(matched) {
-        cross(picture, found.at, [(1, 1), (1, -1)], if of.is_some() { [0, 255, 0] } else { [255, 40, 40] });
+        let colour = if of.is_some() { Rgb([0, 255, 0]) } else { Rgb([255, 40, 40]) };
+        cross(picture, found.at, DIAGONAL, CROSS_PX, colour);
     }
-}
-
-fn cross(picture: &mut RgbImage, at: glam::DVec2, arms: [(i64, i64); 2], colour: [u8; 3]) {
-    for ((right, down), step) in arms.into_iter().flat_map(|arm| (-CROSS_PX..=CROSS_PX).map(move |step| (arm, step))) {
-        let place = (at.x.round() as i64).saturating_add(right * step);
-        let row = (at.y.round() as i64).saturating_add(down * step);
-        let pixel = u32::try_from(place).ok().zip(u32::try_from(row).ok());
-        if let Some(pixel) = pixel.and_then(|(u, v)| picture.get_pixel_mut_checked(u, v)) {
-            *pixel = Rgb(colour);
-        }
-    }
-}
-
-/// The colours of an image.
-pub fn rgb(image: &Raster) -> RgbImage {
-    RgbImage::from_raw(image.width as u32, image.height as u32, image.to_rgb()).unwrap_or_default()
 }

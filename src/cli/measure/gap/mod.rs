@@ -11,6 +11,7 @@ use clap::Args;
 use image::RgbImage;
 use serde::Serialize;
 
+use crate::cli::marks::rgb;
 use crate::cli::paths::{check_output, save, write};
 use crate::cli::values::{number, whole};
 use crate::cli::{Outcome, output};
@@ -19,11 +20,11 @@ use crate::database::ImageDatabase;
 use crate::evaluation::drawing;
 use crate::evaluation::perception::DetectorReport;
 use crate::evaluation::views::{Detection, Detector};
-use crate::views::{MAX_FAR_M, NOTHING, SURE, Surface, Target, World, similarity};
+use crate::views::{MAX_FAR_M, NOTHING, SURE, Surface, Target, World, luma, similarity};
 use crate::vision::Picture;
 
 use forms::{FORMS, HeldOut, forms};
-use judged_detector::{JudgedDetector, rgb};
+use judged_detector::JudgedDetector;
 use tables::tables;
 
 /// Measure the gap between recorded, made-up and rendered images
@@ -32,8 +33,8 @@ use tables::tables;
 /// paper's view, as the nearest image, and rendered. What the project's line detector finds in each is compared, and their
 /// brightness.
 ///
-/// A detector of your own: --detector COMMAND is run with the name of a PNG and prints what it finds, a line each: `class u v`, or a box
-/// `class u_min v_min u_max v_max [score]`. Classes are l_crossing, t_crossing, x_crossing, penalty_mark, centre and goalpost. The tables
+/// A detector of your own: --detector COMMAND is run with the name of a PNG and prints what it finds, a line each: `class u v [score]`,
+/// or a box `class u_min v_min u_max v_max [score]`. Classes are l_crossing, t_crossing, x_crossing, penalty_mark, centre and goalpost. The tables
 /// say how it does by landmark, distance and light; --error-model writes a file from which simulators can sample its errors.
 #[derive(Args)]
 #[command(after_long_help = concat!(
@@ -124,7 +125,9 @@ fn compare(
         for (form, rows) in rows.iter_mut().enumerate() {
             rows.push(judge.row(form)?);
             let looked_at = detector.as_mut().map(|detector| detector.look(&held_out, form)).transpose()?;
-            shown.extend(is_shown.then(|| looked_at.unwrap_or_else(|| rgb(&held_out.images[form]))));
+            if is_shown {
+                shown.push(looked_at.map_or_else(|| rgb(&held_out.images[form]), Ok)?);
+            }
         }
         if is_shown {
             pictures = shown;
@@ -181,9 +184,8 @@ impl<'a> Judge<'a> {
 fn histogram_distance(a: &[[u8; 4]], b: &[[u8; 4]], shown: &[bool]) -> f64 {
     let mut counts = [[0f64; 2]; 32];
     for ((a, b), _) in a.iter().zip(b).zip(shown).filter(|(_, shown)| **shown) {
-        for (which, [r, g, b, _]) in [a, b].into_iter().enumerate() {
-            let luma = (77 * u32::from(*r) + 150 * u32::from(*g) + 29 * u32::from(*b)) >> 8;
-            counts[luma as usize / 8][which] += 1.0;
+        for (which, pixel) in [a, b].into_iter().enumerate() {
+            counts[usize::from(luma(*pixel)) / 8][which] += 1.0;
         }
     }
     let all = shown.iter().filter(|shown| **shown).count().max(1) as f64;

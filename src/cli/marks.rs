@@ -7,13 +7,13 @@ use image::{Rgb, RgbImage};
 use crate::views::Raster;
 
 /// The colours of an image.
-pub(super) fn rgb(image: &Raster) -> anyhow::Result<RgbImage> {
+pub fn rgb(image: &Raster) -> anyhow::Result<RgbImage> {
     let picture = RgbImage::from_raw(image.width as u32, image.height as u32, image.to_rgb());
     picture.context("three bytes for each pixel")
 }
 
 /// Draws a box, a pixel wide. The left upper corner of the picture is (0, 0).
-pub(super) fn frame_box(picture: &mut RgbImage, from: DVec2, to: DVec2, colour: Rgb<u8>) {
+pub fn frame_box(picture: &mut RgbImage, from: DVec2, to: DVec2, colour: Rgb<u8>) {
     let [left, top, right, bottom] = [from.x, from.y, to.x, to.y].map(|value| value as i64);
     for u in left..=right {
         dot(picture, u, top, colour);
@@ -25,17 +25,21 @@ pub(super) fn frame_box(picture: &mut RgbImage, from: DVec2, to: DVec2, colour: 
     }
 }
 
-/// Draws an upright cross around a pixel.
-pub(super) fn cross(picture: &mut RgbImage, at: DVec2, arm_px: i64, colour: Rgb<u8>) {
+/// The arms of an upright cross, to the right and down.
+pub const UPRIGHT: [[i64; 2]; 2] = [[1, 0], [0, 1]];
+/// The arms of a diagonal cross.
+pub const DIAGONAL: [[i64; 2]; 2] = [[1, 1], [1, -1]];
+
+/// Draws a cross around a pixel, whose arms are `arm_px` long to both sides.
+pub fn cross(picture: &mut RgbImage, at: DVec2, arms: [[i64; 2]; 2], arm_px: i64, colour: Rgb<u8>) {
     let (u, v) = (at.x.round() as i64, at.y.round() as i64);
-    for step in -arm_px..=arm_px {
-        dot(picture, u + step, v, colour);
-        dot(picture, u, v + step, colour);
+    for ([right, down], step) in arms.into_iter().flat_map(|arm| (-arm_px..=arm_px).map(move |step| (arm, step))) {
+        dot(picture, u.saturating_add(right * step), v.saturating_add(down * step), colour);
     }
 }
 
 /// Draws a line between two pixels.
-pub(super) fn line(picture: &mut RgbImage, from: DVec2, to: DVec2, colour: Rgb<u8>) {
+pub fn line(picture: &mut RgbImage, from: DVec2, to: DVec2, colour: Rgb<u8>) {
     // A line leaves the picture after as many steps as the picture has pixels along its sides.
     let longest = f64::from(picture.width() + picture.height());
     let steps = from.distance(to).ceil().clamp(1.0, longest) as i64;
