@@ -29,6 +29,8 @@ use crate::viewer_messages::{
 pub struct ViewerServer {
     address: SocketAddr,
     server: Option<WebSocketServerHandle>,
+    /// Its channels end with it.
+    _context: Arc<Context>,
     stop: Arc<AtomicBool>,
     publisher: Option<JoinHandle<()>>,
 }
@@ -57,7 +59,7 @@ impl ViewerServer {
         let publish = move || publish(&robot, channels, &is_over);
         let publisher = std::thread::Builder::new().name("viewers".to_owned()).spawn(publish);
         let publisher = Some(publisher.map_err(FoxgloveError::Bind)?);
-        Ok(Self { address, server: Some(server), stop, publisher })
+        Ok(Self { address, server: Some(server), _context: context, stop, publisher })
     }
 
     /// Returns where it listens.

@@ -57,7 +57,7 @@ fn a_viewer_sees_frames_before_and_after_the_robot_was_away() {
     let Some(mut viewer) = Viewer::of(&watch) else { return };
     assert_eq!(viewer.says(), "subscribed");
     let camera = recorder.room.path("camera.sock");
-    let to_camera = camera.clone();
+    let (to_camera, _line) = (camera.clone(), robot.listens());
     let walking = std::thread::spawn(move || robot.walk(&to_camera));
     assert_eq!(viewer.says(), "frames");
     let (_, robot) = walking.join().expect("walked");
@@ -70,6 +70,7 @@ fn a_viewer_sees_frames_before_and_after_the_robot_was_away() {
 
     recorder.process = Some(Recorder::process(&recorder.room, "-2.06,0.153,14.5"));
     recorder.waits_for("it is back", |status| status["state"] == "recording");
+    let _line = robot.listens();
     let walking = std::thread::spawn(move || robot.walk(&camera));
     assert_eq!(viewer.says(), "frames");
     assert!(viewer.process.wait().expect("ended").success());

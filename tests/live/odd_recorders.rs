@@ -16,7 +16,7 @@ fn line(value: &Value) -> Vec<u8> {
 /// Knows no order `frame`, and says little of itself.
 fn older(order: &str) -> Vec<u8> {
     match order {
-        "status" => line(&json!({ "state": "recording", "counts": { "tagged": 3 } })),
+        "status" => line(&json!({ "state": "recording", "recorder": { "frames_synced": 3 }, "rates": {} })),
         _ => line(&json!({ "error": "expected status, mark TEXT, place X,Y,YAW_DEG, start, stop or poses" })),
     }
 }
