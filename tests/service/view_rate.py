@@ -5,6 +5,7 @@ Arguments: the page's address with the pose to begin at, the browser's program. 
 import asyncio
 import itertools
 import json
+import os
 import re
 import subprocess
 import sys
@@ -48,7 +49,8 @@ async def walk(page):
             if second >= WARM_UP_S:
                 rates.append(int(rate[1]) if rate else 0)
         size = await evaluated(socket, numbers, SIZE)
-    print(json.dumps({"size": size, "views_per_s": rates, "mean": sum(rates) / len(rates), "shown": shown}))
+    mean, load = sum(rates) / len(rates), os.getloadavg()[0]
+    print(json.dumps({"size": size, "views_per_s": rates, "mean": mean, "load": load, "shown": shown}))
 
 
 async def first_page(profile):
