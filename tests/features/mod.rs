@@ -1,0 +1,4 @@
+//! What is not in the default build: `./dev features` builds it and runs these tests.
+
+#[cfg(feature = "live")]
+mod live;
