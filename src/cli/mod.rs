@@ -7,6 +7,7 @@ mod accuracy;
 mod calibrate;
 #[cfg(feature = "catalogue")]
 mod catalogue;
+mod catalogue_beside;
 mod check;
 mod db;
 mod demo;
@@ -22,6 +23,7 @@ mod html;
 mod import;
 mod input_files;
 mod install;
+mod job;
 mod junit;
 mod labels;
 mod live;
@@ -100,6 +102,7 @@ enum Command {
     // Captures at home.
     Sync(Box<sync::SyncArguments>),
     Sessions(sessions::SessionsArguments),
+    Job(job::JobArguments),
     #[cfg(feature = "catalogue")]
     Catalogue(catalogue::CatalogueArguments),
     // Images of any pose.
@@ -154,6 +157,7 @@ pub fn run() -> ExitCode {
         Command::Labels(arguments) => labels::run(&arguments, json),
         Command::Sync(arguments) => sync::run(&arguments, json),
         Command::Sessions(arguments) => sessions::run(&arguments, json),
+        Command::Job(arguments) => job::run(&arguments, json),
         #[cfg(feature = "catalogue")]
         Command::Catalogue(arguments) => catalogue::run(&arguments, json),
         Command::Db(arguments) => db::run(&arguments, json),
@@ -195,6 +199,10 @@ fn error_text(error: &anyhow::Error) -> String {
 
 /// Whether a config or an argument is wrong, as opposed to the input or the machine.
 fn is_usage(error: &anyhow::Error) -> bool {
+    #[cfg(feature = "query")]
+    if matches!(error.downcast_ref(), Some(crate::catalogue_query::QueryError::Sql(_))) {
+        return true;
+    }
     error.chain().any(|cause| {
         cause.is::<ConfigError>()
             || cause.is::<SceneError>()
