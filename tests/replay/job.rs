@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 
 use serde_json::Value;
 
@@ -83,18 +83,30 @@ fn each_step_gives_the_same_bits_whoever_does_it() {
     assert!(files(&room.path("whole")) == files(&room.path("parts")));
 }
 
+/// A job in the background.
+fn begin(room: &Room, call: &str) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_realitysim"));
+    command.args(call.split_whitespace()).current_dir(room.path("")).stdout(Stdio::null()).stderr(Stdio::null());
+    command.spawn().unwrap()
+}
+
+#[test]
+fn two_jobs_at_once_leave_each_result_once() {
+    let room = league();
+    let call = format!("job {CAPTURES} --step tag -o results");
+    let mut both = [begin(&room, &call), begin(&room, &call)];
+    assert!(both.iter_mut().all(|child| child.wait().unwrap().success()));
+    room.run(&call.replace("-o results", "-o alone")).succeeds();
+    assert!(files(&room.path("results")) == files(&room.path("alone")));
+    assert_eq!(fs::read_dir(room.path("results/tag")).unwrap().count(), SESSIONS.len());
+}
+
 #[test]
 fn a_killed_job_is_ended_by_the_same_call() {
     let room = league();
     let call = format!("job {CAPTURES} --step tag -o results --workers 1 --json");
     let results = room.path("results/tag");
-    let mut child = Command::new(env!("CARGO_BIN_EXE_realitysim"))
-        .args(call.split_whitespace())
-        .current_dir(room.path(""))
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
+    let mut child = begin(&room, &call);
     let names = || -> Vec<String> {
         let entries = fs::read_dir(&results).into_iter().flatten().flatten();
         entries.map(|entry| entry.file_name().into_string().unwrap()).collect()

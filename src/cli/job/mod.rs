@@ -94,7 +94,9 @@ fn step(arguments: &JobArguments) -> anyhow::Result<Step> {
             refused("--config is for --step tag: the other steps go by the settings of each session")
         }
         (StepName::Tag | StepName::Refine | StepName::Check, _, Some(_)) => refused("--format is for --step labels"),
-        (StepName::Tag, config, _) => Ok(Step::Tag(config.as_deref().map(TagSettings::load).transpose()?)),
+        (StepName::Tag, config, _) => {
+            Ok(Step::Tag(config.as_deref().map(TagSettings::load).transpose()?.map(Box::new)))
+        }
         (StepName::Refine, ..) => Ok(Step::Refine),
         (StepName::Labels, _, format) => Ok(Step::Labels(format.unwrap_or(Format::Coco))),
         (StepName::Check, ..) => Ok(Step::Check),

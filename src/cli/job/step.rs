@@ -21,7 +21,7 @@ use crate::tagging::{ReplayOptions, ReplayReport, replay, write_tag_log};
 /// What is done with each session.
 pub(super) enum Step {
     /// All tags are made anew, with other settings or with those of the session.
-    Tag(Option<TagSettings>),
+    Tag(Option<Box<TagSettings>>),
     Refine,
     Labels(Format),
     Check,
@@ -61,7 +61,7 @@ impl Step {
     /// The settings that the result for a session depends on.
     pub(super) fn config(&self, capture: &Path) -> anyhow::Result<Value> {
         Ok(match self {
-            Self::Tag(settings) => tag_config(&tag_settings(settings.as_ref(), capture)?)?,
+            Self::Tag(settings) => tag_config(&tag_settings(settings.as_deref(), capture)?)?,
             Self::Labels(format) => {
                 json!({"format": format.to_possible_value().map(|value| value.get_name().to_owned())})
             }
@@ -82,7 +82,7 @@ impl Step {
     /// Does the step with a session. The result is written into `folder`.
     pub(super) fn run(&self, capture: &Path, folder: &Path, progress: Progress) -> anyhow::Result<Findings> {
         match self {
-            Self::Tag(settings) => tag(tag_settings(settings.as_ref(), capture)?, capture, folder, progress),
+            Self::Tag(settings) => tag(tag_settings(settings.as_deref(), capture)?, capture, folder, progress),
             Self::Refine => refine_session(capture, folder, progress),
             Self::Labels(format) => label(capture, folder, *format, progress),
             Self::Check => check(capture),
