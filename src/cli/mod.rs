@@ -247,6 +247,15 @@ mod tests {
         command.get_subcommands().for_each(|inner| each(inner, &name, look));
     }
 
+    /// The words of a command line; a quoted text is one.
+    fn words(line: &str) -> Vec<String> {
+        let parts = line.split('"').enumerate().flat_map(|(index, part)| match index % 2 {
+            0 => part.split_whitespace().map(str::to_owned).collect(),
+            _ => vec![part.to_owned()],
+        });
+        parts.collect()
+    }
+
     #[test]
     fn every_help_has_an_example_that_the_program_takes() {
         let mut count = 0;
@@ -257,12 +266,7 @@ mod tests {
             assert!(!examples.is_empty(), "{name} --help has no example:\n{help}");
             for example in examples {
                 assert!(example.starts_with(name), "{name}: {example}");
-                // A quoted text is one word for the parser.
-                let words = example.split('"').enumerate().flat_map(|(index, part)| match index % 2 {
-                    0 => part.split_whitespace().map(str::to_owned).collect(),
-                    _ => vec![part.to_owned()],
-                });
-                let parsed = Arguments::try_parse_from(words);
+                let parsed = Arguments::try_parse_from(words(example));
                 assert!(
                     parsed.is_ok(),
                     "{name}: {example}: {}",
@@ -314,7 +318,7 @@ mod tests {
                 for line in command_lines(&std::fs::read_to_string(&path).expect("a document")) {
                     count += 1;
                     use clap::error::ErrorKind;
-                    let Err(error) = Arguments::try_parse_from(line.split_whitespace()) else { continue };
+                    let Err(error) = Arguments::try_parse_from(words(&line)) else { continue };
                     if matches!(error.kind(), ErrorKind::UnknownArgument | ErrorKind::InvalidSubcommand) {
                         wrong.push(format!("{}: {line}: {error}", path.display()));
                     }
