@@ -34,9 +34,7 @@ impl View {
         let settings = VisionSettings {
             reading: observation::reading(Model::Gauss, Formula::Corrected),
             line_width_m: field.line_width(),
-            range_m: 0.0,
             tilt_sigma_rad: 0.012,
-            nearest_reach_m: 0.25,
             reduction: 0,
         };
         let vision = Vision::new(&lens, settings);

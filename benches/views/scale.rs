@@ -24,7 +24,7 @@ fn poses(count: usize, salt: f64) -> impl Iterator<Item = Isometry> {
 
 pub fn run(quick: bool, text: &mut String) {
     let folder = tempfile::tempdir().expect("a folder");
-    let metric = Metric { per_m: 1.0, per_direction: 0.5, per_roll: 0.3 };
+    let metric = Metric::default();
     let _ = writeln!(text, "| images | built s | opened ms | nearest 8: p50 us | p99 us | bytes an image |");
     let _ = writeln!(text, "| --- | --- | --- | --- | --- | --- |");
     let counts: &[usize] = if quick { &[1_000, 10_000] } else { &[1_000, 10_000, 100_000, 720_000, 1_000_000] };

@@ -11,10 +11,11 @@ use super::settings::{UsageError, field_size};
 use super::values::whole;
 use super::{Outcome, output};
 use crate::config::{Settings, load_field_of_size};
-use crate::database::{self, Added, Checked, ImageDatabase, Stats, TagLimits};
+use crate::database::{self, Added, Checked, ImageDatabase, ScaledLens, Stats, TagLimits};
 use crate::evaluation::drawing::{WalkGuide, WalkPlace, coverage_map};
 use crate::geometry::PoseGrid;
 use crate::recording::SESSION_FILE;
+use crate::tagging::warnings::scaled_lens;
 use crate::views::Hall;
 
 /// Keep an image database: captures' images, found by the pose of their camera
@@ -169,6 +170,9 @@ fn report_added(added: &Added, db: &Path, json: bool) -> anyhow::Result<Outcome>
     output::losses(&added.losses);
     for empty in &added.empty {
         output::say(&format!("nothing came of {empty}"));
+    }
+    for ScaledLens { file, stated, images } in &added.scaled {
+        output::say(&scaled_lens(&file.display().to_string(), *stated, *images));
     }
     if added.assumed > 0 {
         output::say(&format!(

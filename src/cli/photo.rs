@@ -1,5 +1,6 @@
 //! A single image and the prior knowledge of how it was taken.
 
+use std::cmp::Ordering;
 use std::path::Path;
 use std::sync::Once;
 
@@ -14,7 +15,7 @@ use crate::config::{LensFile, LensFormat, load_lens_for_image, plain_file};
 use crate::geometry::{Euler, Field, Lens, Pose2};
 use crate::log_input::{body_mask, decode};
 use crate::recording::{SESSION_FILE, read_info};
-use crate::tagging::image_location::{ImageLocation, MIN_SHARE, MIN_WEIGHT, PoseHypothesis};
+use crate::tagging::image_location::{FitQuality, ImageLocation, MIN_SHARE, MIN_WEIGHT, PoseHypothesis};
 use crate::tagging::single_image::{ImagePrior, Look, MEASURED_HEIGHT_SIGMA_M};
 use crate::tagging::unknown_mount::UnknownMount;
 use crate::tagging::warnings::scaled_lens;
@@ -59,19 +60,7 @@ impl Camera {
         seed: u64,
     ) -> Vec<(&'f str, &'f Field, ImageLocation)> {
         match self {
-            Self::Known(known) => {
-                // What a picture shows depends on how wide its lines are, and most fields share a width.
-                let mut looks: Vec<(f64, Look)> = Vec::new();
-                let locate = |(name, field): &'f (String, Field)| {
-                    let width_m = field.line_width();
-                    let index = looks.iter().position(|(other_m, _)| *other_m == width_m).unwrap_or_else(|| {
-                        looks.push((width_m, known.look(picture, width_m)));
-                        looks.len() - 1
-                    });
-                    (name.as_str(), field, known.locate(&looks[index].1, field, seed))
-                };
-                fields.iter().map(locate).collect()
-            }
+            Self::Known(known) => locate_known(known, picture, fields, seed),
             Self::Unknown(unknown) => {
                 let locate =
                     |(name, field): &'f (String, Field)| (name.as_str(), field, unknown.locate(picture, field, seed));
@@ -86,6 +75,49 @@ impl Camera {
             Self::Unknown(unknown) => &unknown.lens,
         }
     }
+}
+
+/// Number of fields that are searched closely although a survey found nothing on them.
+const SEARCHED_CLOSELY: usize = 2;
+
+/// Finds the poses on each field that explain a picture of a camera whose attitude and height are known.
+///
+/// Of many fields, those that a survey finds a pose on are searched closely, and the best two in any case.
+fn locate_known<'f>(
+    known: &ImagePrior,
+    picture: &Picture,
+    fields: &'f [(String, Field)],
+    seed: u64,
+) -> Vec<(&'f str, &'f Field, ImageLocation)> {
+    if let [(name, field)] = fields {
+        return vec![(name, field, known.locate(&known.look(picture, field.line_width()), field, seed))];
+    }
+    // What a picture shows depends on how wide its lines are, and most fields share a width.
+    let mut looks: Vec<(f64, Look)> = Vec::new();
+    for (_, field) in fields {
+        if looks.iter().all(|(width_m, _)| *width_m != field.line_width()) {
+            looks.push((field.line_width(), known.look(picture, field.line_width())));
+        }
+    }
+    let mut located = Vec::new();
+    for (name, field) in fields {
+        let Some((_, look)) = looks.iter().find(|(width_m, _)| *width_m == field.line_width()) else { continue };
+        located.push((name.as_str(), field, known.locate_by_survey(look, field, seed), look));
+    }
+    located.sort_by(|a, b| by_fit(&a.2, &b.2));
+    for (place, (_, field, found, look)) in located.iter_mut().enumerate() {
+        if place < SEARCHED_CLOSELY || found.fit() != FitQuality::None {
+            *found = known.locate(look, field, seed);
+        }
+    }
+    located.into_iter().map(|(name, field, found, _)| (name, field, found)).collect()
+}
+
+/// The order of locations, the most trusted first. Wide lines are seen farther away, so that log likelihoods on fields with other
+/// lines compare only roughly.
+pub fn by_fit(a: &ImageLocation, b: &ImageLocation) -> Ordering {
+    let score = |located: &ImageLocation| located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood);
+    a.fit().cmp(&b.fit()).then(score(b).total_cmp(&score(a)))
 }
 
 /// What is known of an image's camera.

@@ -307,7 +307,7 @@ pub fn index(bytes: &[u8]) {
     }
     fs::write(&path, bytes).expect("written");
     let Ok(index) = Index::open(&path) else { return };
-    let metric = Metric { per_m: 1.0, per_direction: 0.5, per_roll: 0.3 };
+    let metric = Metric::default();
     let pose = Isometry::from_euler(Euler { yaw: 0.4, pitch: 0.3, roll: 0.1 }, DVec3::new(1.0, -0.5, 0.5));
     for neighbour in index.nearest(&pose, 8, &metric) {
         let _ = (index.record(neighbour.number).pose(), index.record(neighbour.number).tag());

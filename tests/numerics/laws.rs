@@ -37,9 +37,7 @@ fn table() -> &'static GroundTable {
         let settings = VisionSettings {
             reading: TableQuantity::Contrast,
             line_width_m: field().line_width(),
-            range_m: 0.0,
             tilt_sigma_rad: 0.012,
-            nearest_reach_m: 0.25,
             reduction: 0,
         };
         Vision::new(&lens, settings).look(&picture, &(link * Isometry::link_from_optical()), None).table

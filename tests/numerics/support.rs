@@ -88,9 +88,7 @@ impl Robot {
         let vision = VisionSettings {
             reading: reading(f.model, f.formula),
             line_width_m: field.line_width(),
-            range_m: f.range_m,
             tilt_sigma_rad: f.tilt_sigma_deg.to_radians(),
-            nearest_reach_m: f.nearest_reach_m,
             reduction: f.image_reduction,
         };
         Self {

@@ -61,10 +61,8 @@ fn each_row_is_its_tag_and_leads_to_its_image() {
 
 #[test]
 fn a_rebuild_gives_the_same_files_whatever_was_there() {
-    let (room, _) = catalogued();
-    fs::create_dir(room.path("home")).unwrap();
-    room.run(&format!("catalogue rebuild {CAPTURES} -o home/catalogue")).succeeds();
-    let file = files(&room.path("home/catalogue")).remove(0);
+    let (room, replayed) = catalogued();
+    let file = only_file(&room);
     let bytes = fs::read(&file).unwrap();
     fs::write(&file, &bytes[..bytes.len() / 2]).unwrap();
     let gone = file.with_file_name("gone.parquet");
@@ -183,8 +181,10 @@ fn the_catalogue_beside_captures_follows_refine_db_and_sync() {
 
 #[test]
 fn a_catalogue_that_cannot_follow_stops_no_command() {
-    let (room, replayed) = catalogued();
-    let file = only_file(&room);
+    let (room, _) = catalogued();
+    fs::create_dir(room.path("home")).unwrap();
+    room.run(&format!("catalogue rebuild {CAPTURES} -o home/catalogue")).succeeds();
+    let file = files(&room.path("home/catalogue")).remove(0);
     let bytes = fs::read(&file).unwrap();
     let at = bytes.windows(10).position(|part| part == b"\"format\":1").unwrap();
     let mut changed = bytes.clone();

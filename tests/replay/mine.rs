@@ -14,11 +14,11 @@ fn recorded() -> Room {
     room
 }
 
-/// Writes a detector that prints, for a picture, the lines of a table `found/NNNNNN.txt`, after `first`.
+/// Writes a detector that prints, for a picture, the lines of a table `found/NNNNNN.txt`, after it did `first`.
 fn detector(room: &Room, name: &str, first: &str) {
     let tables = room.path("found").display().to_string();
-    let script = format!("{first}\ncat \"{tables}/$(basename \"$1\" .png).txt\"\n");
-    room.write(name, script);
+    let answer = format!("cat \"{tables}/$(basename \"$picture\" .png).txt\"; echo");
+    room.write(name, format!("while read -r picture; do\n{first}\n{answer}\ndone\n"));
 }
 
 /// The boxes that `labels --format yolo` makes, as a detector would print them; `change` may alter the lines of an image.
@@ -86,7 +86,7 @@ fn a_detector_that_fails_is_named_with_its_picture() {
     let said = ["000002.png", "line 1", "\"nonsense\" is none of l_crossing"];
     mine("nonsense.sh", "some").fails(3, &said);
     assert!(fs::exists(room.path("some/disagreements.csv")).unwrap());
-    detector(&room, "dies.sh", "case $1 in *1.png) exit 4;; esac");
+    detector(&room, "dies.sh", "case $picture in *1.png) exit 4;; esac");
     mine("dies.sh", "died").fails(3, &["000001.png", "exit status: 4"]);
     detector(&room, "always.sh", "exit 5");
     mine("always.sh", "always").fails(1, &["failed for each of 5 images", "000000.png", "exit status: 5"]);

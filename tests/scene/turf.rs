@@ -28,14 +28,8 @@ struct Statistics {
 }
 
 fn statistics(picture: &Picture, lens: &Lens) -> Statistics {
-    let settings = VisionSettings {
-        reading: TableQuantity::Contrast,
-        line_width_m: 0.05,
-        range_m: 0.0,
-        tilt_sigma_rad: 0.01,
-        nearest_reach_m: 0.25,
-        reduction: 1,
-    };
+    let settings =
+        VisionSettings { reading: TableQuantity::Contrast, line_width_m: 0.05, tilt_sigma_rad: 0.01, reduction: 1 };
     // As all of these robots carry their camera, give or take their gait.
     let euler = Euler { yaw: 0.0, pitch: 22.0_f64.to_radians(), roll: 0.0 };
     let place = Isometry::from_euler(euler, DVec3::new(0.04, 0.0, 0.55)) * Isometry::link_from_optical();

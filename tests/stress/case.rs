@@ -303,7 +303,7 @@ fn effects(draw: &mut Draw) -> Vec<String> {
 }
 
 fn settings(draw: &mut Draw) -> Vec<String> {
-    let settings: [(&str, &[&str]); 14] = [
+    let settings: [(&str, &[&str]); 13] = [
         ("particles", &["1", "2", "50", "2000"]),
         ("iterations", &["1", "2", "20"]),
         ("line_points", &["10", "2000"]),
@@ -315,7 +315,6 @@ fn settings(draw: &mut Draw) -> Vec<String> {
         ("jitter_xy_m", &["0.0", "10.0"]),
         ("jitter_yaw_deg", &["0.0", "180.0"]),
         ("initial_xy_m", &["0.0", "50.0"]),
-        ("range_m", &["0.5", "50.0"]),
         ("image_reduction", &["1", "2", "8"]),
         ("tilt_sigma_deg", &["0.0", "45.0"]),
     ];

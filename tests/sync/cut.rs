@@ -241,6 +241,7 @@ fn a_slow_transfer_tells_its_progress_its_rate_and_the_time_left() {
     site.session("robot", "s", &[noise(1, 3_000_000)]);
     site.mangles(&["pass", "pass", "slow 150"].map(str::to_owned));
     let said = site.sync("robot", "dev", &[]).ends(0).says("segments to come: 1, 3.0 MB").stderr;
-    let told = said.lines().find(|line| line.contains(" of 3.0 MB, ")).unwrap_or_else(|| panic!("{said}"));
-    assert!(told.contains("/s, ") && told.ends_with(" s left"), "{told}");
+    // Before the first bytes have come nobody knows how long it will take.
+    let told = |line: &str| line.contains(" of 3.0 MB, ") && line.contains("/s, ") && line.ends_with(" s left");
+    assert!(said.lines().any(told), "{said}");
 }

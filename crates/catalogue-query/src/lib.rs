@@ -126,7 +126,7 @@ async fn answer(catalogue: &Path, sql: &str) -> Result<Vec<RecordBatch>, QueryEr
     Ok(if batches.is_empty() { vec![RecordBatch::new_empty(schema)] } else { batches })
 }
 
-/// Makes the catalogue a table, with the values in the names of its folders as columns.
+/// Makes the catalogue a table, with the values in the names of its folders as columns. What is percent-encoded in them stays so.
 async fn register(context: &SessionContext, catalogue: &Path) -> Result<(), DataFusionError> {
     let folders = [("field", DataType::Utf8), ("date", DataType::Date32), ("robot", DataType::Utf8)];
     let folders = folders.into_iter().map(|(name, kind)| (name.to_owned(), kind)).collect();

@@ -17,7 +17,7 @@ use super::input_files::sources_of;
 use super::masks::{self, Masks};
 use super::pixels::read_bytes;
 use super::record::Record;
-use super::sources::{self, Read};
+use super::sources::{self, Read, ScaledLens};
 use super::{goals, hall, moved, vignetting};
 use realitysim_geometry::{Field, FieldDimensions, LensParameters};
 use realitysim_recording::Loss;
@@ -35,6 +35,8 @@ pub struct Added {
     pub imprecise: u64,
     /// Number of images whose pose has no standard deviations: 1 cm and 0.25 degrees are assumed.
     pub assumed: u64,
+    /// Lenses that were scaled to the size of their images.
+    pub scaled: Vec<ScaledLens>,
     /// Parts of the sources that could not be read.
     pub losses: Vec<Loss>,
     /// Sources without a usable image, with the reason.
@@ -133,10 +135,18 @@ fn require_database(folder: &Path) -> Result<(), DatabaseError> {
     Contents::read(folder).map(drop)
 }
 
-/// Locks a database for a change, because of two concurrent changes one would be lost.
-///
-/// The lock ends with the file handle or the process. Readers need none.
-fn lock(folder: &Path) -> Result<fs::File, DatabaseError> {
+/// Lock of a database for a change, because of two concurrent changes one would be lost. Readers need none.
+struct DatabaseLock(fs::File);
+
+/// Unlocks explicitly: closing the file is not enough while a process that is just being started has a copy of it.
+impl Drop for DatabaseLock {
+    fn drop(&mut self) {
+        let _ = self.0.unlock();
+    }
+}
+
+/// Locks a database until what is returned is dropped, or the process ends.
+fn lock(folder: &Path) -> Result<DatabaseLock, DatabaseError> {
     let path = folder.join(LOCK);
     match fs::metadata(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
@@ -146,7 +156,7 @@ fn lock(folder: &Path) -> Result<fs::File, DatabaseError> {
     }
     let file = fs::File::options().write(true).create(true).truncate(false).open(&path).map_err(io(&path))?;
     match file.try_lock() {
-        Ok(()) => Ok(file),
+        Ok(()) => Ok(DatabaseLock(file)),
         Err(fs::TryLockError::WouldBlock) => Err(DatabaseError::Busy { path: folder.to_owned() }),
         Err(fs::TryLockError::Error(error)) => Err(io(&path)(error)),
     }
@@ -164,8 +174,19 @@ fn add_source(
     added: &mut Added,
     progress: Progress,
 ) -> Result<(), DatabaseError> {
-    let Read { mut source, records: found, field: own, ambiguous, imprecise, assumed, losses, empty, lit, bodies } =
-        read;
+    let Read {
+        mut source,
+        records: found,
+        field: own,
+        ambiguous,
+        imprecise,
+        assumed,
+        losses,
+        empty,
+        scaled,
+        lit,
+        bodies,
+    } = read;
     let at = source.path.clone();
     let path = || at.clone();
     // A capture knows its field. That of a folder of images may be stated anew.
@@ -195,6 +216,7 @@ fn add_source(
     added.ambiguous += ambiguous;
     added.imprecise += imprecise;
     added.assumed += assumed;
+    added.scaled.extend(scaled);
     added.losses.extend(losses);
     added.empty.extend(empty);
     if let Some(mask) = lit.mask(source.lens.width as usize) {

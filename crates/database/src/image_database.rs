@@ -199,15 +199,9 @@ impl ImageDatabase {
         self.decoded().bytes
     }
 
-    /// The distance between poses by which images are selected, with the weights of the settings.
-    pub fn metric(&self) -> Metric {
-        let ViewsSettings { metre_counts, direction_counts, roll_counts, .. } = self.settings;
-        Metric { per_m: metre_counts, per_direction: direction_counts, per_roll: roll_counts }
-    }
-
     /// The camera of the nearest image.
     pub fn nearest_camera(&self, map_from_link: &Isometry) -> Option<&Arc<Camera>> {
-        let nearest = self.index.nearest(map_from_link, 1, &self.metric());
+        let nearest = self.index.nearest(map_from_link, 1, &Metric::default());
         self.camera(&self.index.record(nearest.first()?.number))
     }
 
@@ -334,7 +328,7 @@ impl ImageDatabase {
                 sources: self.settings.sources,
                 // No image is as near as a negative distance.
                 stored_within_m: if wanted.may_be_stored { self.settings.stored_within_m } else { -1.0 },
-                stored_within_rad: self.settings.stored_within_deg.to_radians(),
+                stored_within_rad: ViewSettings::default().stored_within_rad,
                 max_distance_m: wanted.max_distance_m,
             },
         }

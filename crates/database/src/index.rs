@@ -185,7 +185,7 @@ mod tests {
             write_index(&path, records(count)).expect("written");
             let index = Index::open(&path).expect("open");
             assert!(index.len() == count && index.bytes() == bytes_of(count));
-            let metric = Metric { per_m: 1.0, per_direction: 0.5, per_roll: 0.3 };
+            let metric = Metric::default();
             for record in records(count).iter().step_by(97) {
                 let found = index.nearest(&record.pose(), 1, &metric);
                 assert_eq!(index.record(found[0].number), *record);

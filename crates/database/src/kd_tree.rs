@@ -22,6 +22,13 @@ pub struct Metric {
     pub per_roll: f64,
 }
 
+/// The weights by which the sources of a view are chosen: a turn by a radian costs half as much of a view as a step by a metre.
+impl Default for Metric {
+    fn default() -> Self {
+        Self { per_m: 1.0, per_direction: 0.5, per_roll: 0.3 }
+    }
+}
+
 /// The split of a node's run into two halves.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Split {

@@ -74,4 +74,4 @@ pub use kd_tree::Metric;
 pub use leave_one_out::leave_one_out;
 pub use parallel::in_parallel;
 pub use record::Record;
-pub use sources::{FIELD_FILE, POSES_HEAD, SIGMAS_HEAD, best_tags, covariances};
+pub use sources::{FIELD_FILE, POSES_HEAD, SIGMAS_HEAD, ScaledLens, best_tags, covariances};

@@ -47,7 +47,7 @@ pub(super) fn choose(
     wanted: usize,
     without: &Exclusions,
 ) -> Vec<Neighbour> {
-    let metric = database.metric();
+    let metric = Metric::default();
     let aside = Metric { per_direction: ASIDE_DIRECTION_WEIGHT * metric.per_direction, ..metric };
     let mut near = Near { database, pose, footprint, ranked: Vec::new(), different: Vec::new() };
     near.look(without, pose, CANDIDATES * wanted, &metric);
@@ -155,7 +155,7 @@ struct Choice {
 impl Near<'_> {
     /// Adds the images nearest to a pose, which need not be the pose of the view.
     fn look(&mut self, without: &Exclusions, from: &Isometry, count: usize, by: &Metric) {
-        let metric = self.database.metric();
+        let metric = Metric::default();
         let known = self.ranked.len();
         for (neighbour, record) in without.nearest(self.database, from, count, by) {
             if self.ranked[..known].iter().any(|image| image.neighbour.number == neighbour.number) {
@@ -182,7 +182,7 @@ impl Near<'_> {
     /// Selects `wanted` images: the best one, then those that add to what is shown, then near ones apart from the others, and
     /// last any near ones.
     fn complete(&self, wanted: usize) -> Choice {
-        let metric = self.database.metric();
+        let metric = Metric::default();
         let footprint = self.footprint;
         let Some((first, mut shown)) = self.different.first().copied() else { return Choice::default() };
         let mut images = vec![first];

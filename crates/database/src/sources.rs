@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::thread;
 
 use glam::DVec3;
+use serde::Serialize;
 
 use super::contents::{Source, SourceKind, TagLimits};
 use super::error::{DatabaseError, io};
@@ -42,10 +43,23 @@ pub(super) struct Read {
     pub(super) losses: Vec<Loss>,
     /// Why there is no record, if there is none.
     pub(super) empty: Option<Loss>,
+    /// The lens of the source, if it was stated for images of another size and scaled to these.
+    pub(super) scaled: Option<ScaledLens>,
     /// The pixels that the images light.
     pub(super) lit: LitPixels,
     /// Masks of the robot's own body that the source itself holds.
     pub(super) bodies: Vec<BodyMask>,
+}
+
+/// A lens that was stated for images of another size, and scaled: right if the images were scaled, wrong if they were cut.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ScaledLens {
+    /// The file that states the lens.
+    pub file: PathBuf,
+    /// Width and height of the images that it is stated for, pixels.
+    pub stated: [u32; 2],
+    /// Width and height of the images that it was scaled to, pixels.
+    pub images: [u32; 2],
 }
 
 /// The file of a folder of images with their poses.
@@ -183,7 +197,19 @@ fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> 
     };
     let bodies = info.body_masks.iter().filter_map(|runs| BodyMask::from_runs(size[0], size[1], runs)).collect();
     let assumed = without_sigmas(&records);
-    Ok(Read { source, records, field: Some(info.field), ambiguous, imprecise, assumed, losses, empty, lit, bodies })
+    Ok(Read {
+        source,
+        records,
+        field: Some(info.field),
+        ambiguous,
+        imprecise,
+        assumed,
+        losses,
+        empty,
+        scaled: None,
+        lit,
+        bodies,
+    })
 }
 
 /// The tags by which the images of a capture, or of one of its segments, are added, and the refined lens if they are refined ones.
@@ -318,7 +344,7 @@ fn read_folder(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> R
         }
     };
     let (mut files, mut records, mut losses, mut batch) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let (mut lens, mut left_out, mut imprecise, mut lit) = (None, 0, 0, LitPixels::default());
+    let (mut lens, mut scaled, mut left_out, mut imprecise, mut lit) = (None, None, 0, 0, LitPixels::default());
     for (line, text) in lines.filter(|(_, text)| !text.is_empty()) {
         let Posed { name, pose, sigma_m, sigma_rad } = row(text, has_sigmas).map_err(|what| wrong(line, what))?;
         let file = path.join(&name);
@@ -342,7 +368,11 @@ fn read_folder(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> R
         };
         if lens.is_none() {
             lens = match colours(&bytes, Form::File) {
-                Ok(first) => Some(camera_of(&path, &file, [first.width as u32, first.height as u32])?),
+                Ok(first) => {
+                    let camera = camera_of(&path, &file, [first.width as u32, first.height as u32])?;
+                    scaled = camera.1;
+                    Some(camera.0)
+                }
                 Err(what) => {
                     losses.push(Loss::new(&file, what));
                     left_out += 1;
@@ -395,7 +425,7 @@ fn read_folder(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> R
         goals: true,
     };
     let assumed = without_sigmas(&records);
-    Ok(Read { source, records, field, ambiguous: 0, imprecise, assumed, losses, empty, lit, bodies })
+    Ok(Read { source, records, field, ambiguous: 0, imprecise, assumed, losses, empty, scaled, lit, bodies })
 }
 
 /// Decodes a batch of a folder's images, once the lens is known from the first readable one.
@@ -409,8 +439,12 @@ fn decode_folder_batch(
     decode_batch(batch, [lens.width as usize, lens.height as usize], records, lit);
 }
 
-/// Reads the lens from `camera_info.yaml` beside the images, for images of this size.
-fn camera_of(folder: &Path, image: &Path, [width, height]: [u32; 2]) -> Result<LensParameters, DatabaseError> {
+/// Reads the lens from `camera_info.yaml` beside the images, for images of this size, and whether it was scaled to them.
+fn camera_of(
+    folder: &Path,
+    image: &Path,
+    [width, height]: [u32; 2],
+) -> Result<(LensParameters, Option<ScaledLens>), DatabaseError> {
     let path = folder.join(CAMERA);
     if !path.is_file() {
         let what = format!("without {CAMERA}, as ROS camera_calibration writes it, nobody knows the lens");
@@ -419,7 +453,8 @@ fn camera_of(folder: &Path, image: &Path, [width, height]: [u32; 2]) -> Result<L
     let file = load_lens_for_image(&path.display().to_string(), width, height).map_err(|error| {
         DatabaseError::Source { path: folder.to_owned(), what: format!("{error} (as {} is)", image.display()) }
     })?;
-    Ok(file.lens.parameters().clone())
+    let scaled = file.scaled_from.map(|stated| ScaledLens { file: path, stated, images: [width, height] });
+    Ok((file.lens.parameters().clone(), scaled))
 }
 
 /// Reads the field beside the images; `None` if there is none.

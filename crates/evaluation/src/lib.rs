@@ -6,7 +6,7 @@
 //! [`cost`] measures what accuracy costs in time. [`contrast`] measures how tags degrade as lines fade, [`falsify`]
 //! what they do under false assumptions, [`accuracy`] how good they are on one's own field, [`postgame`] judges a robot's own pose by them, [`paper`] repeats the experiments of the paper, [`perception`] says how a detector does and models its errors, and [`views`] scores
 //! synthesized images.
-//! [`drawing`] and [`video`] make pictures of the results. This crate prints nothing.
+//! [`drawing`] makes pictures of the results. This crate prints nothing.
 //!
 //! ```rust
 //! use realitysim_evaluation::{Tagged, compare};
@@ -38,7 +38,6 @@ pub mod reference;
 pub mod statistics;
 pub mod suite;
 pub mod truth;
-pub mod video;
 pub mod views;
 
 pub use compare::{Comparison, Tagged, compare, mirrored, up_to_mirror};

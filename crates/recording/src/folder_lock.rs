@@ -10,7 +10,14 @@ use std::path::Path;
 
 /// Exclusive lock of a folder of captures, held until it is dropped or the process ends.
 #[derive(Debug)]
-pub struct FolderLock(#[expect(dead_code, reason = "the lock ends with the open file")] File);
+pub struct FolderLock(File);
+
+/// Unlocks explicitly: closing the file is not enough while a process that is just being started has a copy of it.
+impl Drop for FolderLock {
+    fn drop(&mut self) {
+        let _ = self.0.unlock();
+    }
+}
 
 impl FolderLock {
     /// Waits for the lock of one folder.

@@ -45,6 +45,7 @@ mod hashing;
 mod identity;
 mod manifest;
 mod record_queue;
+mod recorded_settings;
 mod recorder;
 mod refined;
 mod repair;

@@ -45,6 +45,7 @@ pub struct SessionInfo {
     pub source: Option<String>,
     /// Settings as they were used; `topics` are those that the log was found to have. Everything that reads a capture
     /// goes by them.
+    #[serde(deserialize_with = "super::recorded_settings::deserialize")]
     pub settings: Settings,
     /// Dimensions of the field.
     pub field: FieldDimensions,

@@ -300,9 +300,7 @@ impl FramePerception {
         let vision = VisionSettings {
             reading: observation::reading(f.model, f.formula),
             line_width_m,
-            range_m: f.range_m,
             tilt_sigma_rad: f.tilt_sigma_deg.to_radians(),
-            nearest_reach_m: f.nearest_reach_m,
             reduction: f.image_reduction,
         };
         Ok(Self { vision: Vision::new(lens, vision), bodies })

@@ -119,9 +119,7 @@ impl ImagePrior {
         let settings = VisionSettings {
             reading: observation::reading(Model::Gauss, Formula::Corrected),
             line_width_m,
-            range_m: 0.0,
             tilt_sigma_rad: TILT_SIGMA_RAD,
-            nearest_reach_m: 0.25,
             reduction: 0,
         };
         let vision = Vision::new(&self.lens, settings);

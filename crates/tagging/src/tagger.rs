@@ -52,7 +52,6 @@ impl Tagger {
                 points: f.valid_points,
                 spread_m: f.valid_spread_m,
                 refined_m: f.valid_refined_m,
-                explained: f.valid_explained,
             },
         };
         Self {

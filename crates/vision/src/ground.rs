@@ -14,6 +14,9 @@ use realitysim_geometry::multiversioned;
 /// Number of cells along each side of the table.
 pub const SIDE: usize = 320;
 
+/// Largest distance on the ground at which the distance model looks for the nearest white cell, metres.
+const NEAREST_REACH_M: f64 = 0.25;
+
 /// Level of a cell about which nothing is known: it speaks neither for nor against a line.
 pub const NEUTRAL: u8 = 64;
 
@@ -100,7 +103,7 @@ impl TableBuffers {
             TableQuantity::Contrast => {}
             TableQuantity::Nearest => {
                 table.pack(
-                    &cells.nearest_levels(full, map, range_tables, settings.nearest_reach_m),
+                    &cells.nearest_levels(full, map, range_tables, NEAREST_REACH_M),
                     map.cell_m(),
                     CONTRAST_READINGS,
                 );

@@ -14,7 +14,7 @@
 //!
 //! let lens = realitysim_config::load_lens("fisheye-640").expect("a built-in lens").lens;
 //! let (reading, line_width_m, tilt_sigma_rad) = (TableQuantity::Contrast, 0.05, 0.012);
-//! let settings = VisionSettings { reading, line_width_m, range_m: 0.0, tilt_sigma_rad, nearest_reach_m: 0.25, reduction: 0 };
+//! let settings = VisionSettings { reading, line_width_m, tilt_sigma_rad, reduction: 0 };
 //! // A green carpet with a white line that runs straight away from the camera.
 //! let is_line = |pixel: i32| (pixel % 640 - 322).abs() < 5;
 //! let colour = |pixel: i32| if is_line(pixel) { [225u8, 230, 222] } else { [45, 120, 50] };
@@ -70,10 +70,12 @@ pub enum TableQuantity {
     NearestPixel,
 }
 
-/// Half the side of an automatic ground table, in heights of the camera.
+/// Half the side of the ground table, in heights of the camera.
 ///
 /// At a distance of seven heights a line of 5 cm is a third of a pixel wide for 200 pixels a radian.
 const RANGE_OF_HEIGHT: f64 = 7.3;
+/// Smallest and largest half side of the ground table, metres.
+const RANGES_M: [f64; 2] = [3.0, 8.0];
 
 /// What one frame shows of the ground. Its buffers can be used again for another frame ([`Vision::look_again`]).
 #[derive(Clone, Debug, Default)]
@@ -151,12 +153,8 @@ pub struct VisionSettings {
     pub reading: TableQuantity,
     /// Width of the field's painted lines, metres.
     pub line_width_m: f64,
-    /// Half the side of the ground table, metres; 0: chosen by the camera's height.
-    pub range_m: f64,
     /// Standard deviation of the camera's roll and pitch, radians. Points on the ground that such an error moves far count less.
     pub tilt_sigma_rad: f64,
-    /// Largest distance on the ground at which the nearest white cell is looked for, metres.
-    pub nearest_reach_m: f64,
     /// Side of the blocks of pixels that are averaged into one pixel of the working image; 0: [`automatic_reduction`].
     pub reduction: usize,
 }
@@ -248,7 +246,7 @@ impl Vision {
         }
         border.find_inside(floor, on_carpet);
         contrast.finish(surfaces, on_carpet);
-        let range_m = self.range_m(footprint_from_optical);
+        let range_m = table_range_m(footprint_from_optical);
         buffers.map().fill(&self.projector, footprint_from_optical, range_m, border);
         let scales = ground::Scale {
             to_working: scale,
@@ -257,14 +255,6 @@ impl Vision {
         };
         let full_contrast = buffers.tables(contrast, scales, &self.settings, table, lines);
         image.fill(working, scale, full_contrast, on_carpet);
-    }
-
-    /// Half the side of the ground table, metres.
-    fn range_m(&self, footprint_from_optical: &Isometry) -> f64 {
-        match self.settings.range_m {
-            0.0 => (RANGE_OF_HEIGHT * footprint_from_optical.translation.z).clamp(3.0, 8.0),
-            range => range,
-        }
     }
 
     /// Intersects the ray of each coarse cell with the ground; NaN where there is no intersection.
@@ -304,6 +294,11 @@ impl Vision {
         };
         learning.learn((0..rows).flat_map(|row| (0..columns).step_by(2).filter_map(move |column| sample(row, column))))
     }
+}
+
+/// Half the side of the ground table for a camera, metres.
+fn table_range_m(footprint_from_optical: &Isometry) -> f64 {
+    (RANGE_OF_HEIGHT * footprint_from_optical.translation.z).clamp(RANGES_M[0], RANGES_M[1])
 }
 
 /// Marks the half-resolution pixels that show the robot's own body.

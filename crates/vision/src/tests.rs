@@ -115,9 +115,7 @@ impl Direct {
         let settings = VisionSettings {
             reading: TableQuantity::Contrast,
             line_width_m: LINE_WIDTH_M,
-            range_m: 0.0,
             tilt_sigma_rad: TILT_SIGMA_RAD,
-            nearest_reach_m: 0.25,
             reduction: 1,
         };
         let seen = Vision::new(lens, settings).look(&rendered_field(lens, robot), &place(), None);

@@ -17,7 +17,6 @@ use crate::cli::values::{number, whole};
 use crate::cli::{Outcome, output};
 use crate::config::Settings;
 use crate::database::{ImageDatabase, ViewQuery};
-use crate::evaluation::video::avi;
 use crate::evaluation::{Summary, drawing};
 use crate::geometry::{Euler, Isometry, Pose2, wrap_angle};
 use crate::log_input::encode::jpeg;
@@ -28,7 +27,7 @@ use crate::vision::Picture;
 /// Walk through a database: views along a straight way, as in Fig. 11 and 12 of the paper
 ///
 /// By default from the paper's (0, 3, 0) to (8, 6, 4), read as half metres from the field's corner and radians: that is our
-/// reading, the paper does not say. Writes sheet.png, walk.avi and walk.csv. How evenly the lines move is measured by finding the
+/// reading, the paper does not say. Writes sheet.png, walk.csv and the views as frames/00000.jpg and so on. How evenly the lines move is measured by finding the
 /// pose of every view from its lines and comparing it with the one asked for.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim measure view-walk --db images/ --from -2,0,0 --to 2,0.5,90")]
@@ -88,7 +87,6 @@ struct Step {
     valid_share: f64,
 }
 
-const FRAMES_PER_S: u32 = 15;
 const JPEG_QUALITY: u8 = 90;
 /// Width and number of the small pictures on the sheet.
 const THUMB_PX: u32 = 320;
@@ -106,7 +104,9 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     let (mean_z, mean_pitch) = mean_height_and_pitch(&database);
     let (z, pitch) = (arguments.z.unwrap_or(mean_z), arguments.pitch.map_or(mean_pitch, f64::to_radians));
     let frames = usize::from(arguments.frames);
-    let (mut steps, mut jpegs, mut thumbs, mut camera) = (Vec::new(), Vec::new(), Vec::new(), None);
+    let (mut steps, mut thumbs, mut camera) = (Vec::new(), Vec::new(), None);
+    let pictures = folder.join("frames");
+    make_folder(&pictures)?;
     let mut progress = output::Progress::new("walking");
     for frame in 0..frames {
         let part = frame as f64 / (frames - 1) as f64;
@@ -128,7 +128,8 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
         let shown = database.view(&wanted)?;
         let image = &shown.answer.image;
         let (width, height, rgb) = (image.width, image.height, image.to_rgb());
-        jpegs.push(jpeg(&rgb, width, height, ColorType::Rgb, JPEG_QUALITY)?);
+        let picture = jpeg(&rgb, width, height, ColorType::Rgb, JPEG_QUALITY)?;
+        write_bytes(&pictures.join(format!("{frame:05}.jpg")), &picture)?;
         let known = ImagePrior {
             lens: shown.camera.lens().clone(),
             attitude,
@@ -157,11 +158,6 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
     }
     progress.finish();
     save(&drawing::panels(&thumbs, THUMB_COLUMNS), &folder.join("sheet.png"))?;
-    let camera = camera.context("no view was made")?;
-    let video =
-        avi(&jpegs, camera.width() as u32, camera.height() as u32, FRAMES_PER_S).context("too long for an AVI")?;
-    let path = folder.join("walk.avi");
-    write_bytes(&path, &video)?;
     write(&folder.join("walk.csv"), &csv(&steps))?;
     let report = report(&steps, folder.clone());
     if json {

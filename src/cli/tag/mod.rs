@@ -9,7 +9,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::paths::{check_output, save};
-use super::photo::{self, Camera, OtherInputs, PhotoArguments};
+use super::photo::{self, Camera, OtherInputs, PhotoArguments, by_fit};
 use super::settings::{check_initial, field_size, planar_pose};
 use super::values::any_whole;
 use super::{Outcome, output};
@@ -185,8 +185,7 @@ fn tag(
     let (picture, camera) = photo.open_any(image, &beside)?;
     let fields = fields(arguments, initial)?;
     let mut results = camera.locate(&picture, &fields, arguments.seed);
-    // Wide lines are seen farther away, so that log likelihoods on fields with other lines compare only roughly.
-    results.sort_by(|a, b| a.2.fit().cmp(&b.2.fit()).then(score(&b.2).total_cmp(&score(&a.2))));
+    results.sort_by(|a, b| by_fit(&a.2, &b.2));
     let Some((name, field, located)) = results.first() else { anyhow::bail!("{}: no field to try", image.display()) };
     let best = located.found.first();
     let tilt = best.map(|best| best.map_from_link.euler());
@@ -259,13 +258,8 @@ fn other_field(arguments: &TagArguments, image: &Path) -> anyhow::Result<Option<
             placed.push((name, located));
         }
     }
-    let best = placed.into_iter().min_by(|a, b| a.1.fit().cmp(&b.1.fit()).then(score(&b.1).total_cmp(&score(&a.1))));
+    let best = placed.into_iter().min_by(|a, b| by_fit(&a.1, &b.1));
     Ok(best.map(|(name, _)| name))
-}
-
-/// Log likelihood of the best pose.
-fn score(located: &ImageLocation) -> f64 {
-    located.found.first().map_or(f64::NEG_INFINITY, |found| found.log_likelihood)
 }
 
 /// All files that are read, over which nothing must be written. Poses may be written into the folder of the images.

@@ -57,12 +57,8 @@ pub struct FilterConfig {
     pub jitter_yaw_deg: f64,
     /// Noise after each further resampling of a frame, as a share of the noise before it.
     pub jitter_shrink: f64,
-    /// Half the side of the robot-centred ground table, metres; 0: 7.3 times the camera's height, 3 to 8 m.
-    pub range_m: f64,
     /// Expected error of roll and pitch, degrees; a place that it moves far counts less.
     pub tilt_sigma_deg: f64,
-    /// Distance within which the distance model looks for white, metres.
-    pub nearest_reach_m: f64,
     /// Factor by which the image is reduced before it is searched for lines; 0: chosen for the lens.
     pub image_reduction: usize,
     /// Unrefined poses: smallest share of the expected line contrast that makes a tag valid, 0 to 1.
@@ -75,8 +71,6 @@ pub struct FilterConfig {
     pub refinement: bool,
     /// Refined poses: greatest standard deviation along the longer axis at which a tag is valid, metres.
     pub valid_refined_m: f64,
-    /// Refined poses: smallest share of the seen line that the field has there and that makes a tag valid, 0 to 1.
-    pub valid_explained: f64,
 }
 
 impl FilterConfig {
@@ -96,17 +90,12 @@ impl FilterConfig {
         check_range("filter.jitter_xy_m", self.jitter_xy_m, 0.0, 10.0)?;
         check_range("filter.jitter_yaw_deg", self.jitter_yaw_deg, 0.0, 180.0)?;
         check_range("filter.jitter_shrink", self.jitter_shrink, 0.0, 1.0)?;
-        if self.range_m != 0.0 {
-            check_range("filter.range_m", self.range_m, 0.5, 50.0)?;
-        }
         check_range("filter.tilt_sigma_deg", self.tilt_sigma_deg, 0.0, 45.0)?;
-        check_range("filter.nearest_reach_m", self.nearest_reach_m, 0.02, 5.0)?;
         check_range("filter.image_reduction", self.image_reduction as f64, 0.0, 8.0)?;
         check_range("filter.valid_share", self.valid_share, 0.0, 1.0)?;
         check_range("filter.valid_points", self.valid_points, 0.0, 1e6)?;
         check_range("filter.valid_spread_m", self.valid_spread_m, 0.0, 100.0)?;
         check_range("filter.valid_refined_m", self.valid_refined_m, 0.0, 100.0)?;
-        check_range("filter.valid_explained", self.valid_explained, 0.0, 1.0)?;
         Ok(())
     }
 }
@@ -131,16 +120,13 @@ impl Default for FilterConfig {
             jitter_xy_m: 0.04,
             jitter_yaw_deg: 1.5,
             jitter_shrink: 0.6,
-            range_m: 0.0,
             tilt_sigma_deg: 0.7,
-            nearest_reach_m: 0.25,
             image_reduction: 0,
             valid_share: 0.35,
             valid_points: 8.0,
             valid_spread_m: 0.25,
             refinement: true,
             valid_refined_m: 0.07,
-            valid_explained: 0.7,
         }
     }
 }

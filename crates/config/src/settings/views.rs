@@ -5,24 +5,14 @@ use serde::{Deserialize, Serialize};
 use super::check_range;
 
 /// How images of a database are chosen for a view, and when a stored image is the view itself.
-///
-/// The squared distance between two poses is the sum of three squares: of their distance, of the angle between their
-/// viewing directions, and of their roll about these, each times its weight.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ViewsSettings {
     /// Largest number of images that make a view.
     pub sources: usize,
-    /// Greatest distance at which a stored image of the lens and size asked for is itself the view, metres.
+    /// Greatest distance at which a stored image of the lens and size asked for is itself the view, metres. Its angle must be within
+    /// 0.25 degrees.
     pub stored_within_m: f64,
-    /// Greatest angle at which a stored image of the lens and size asked for is itself the view, degrees.
-    pub stored_within_deg: f64,
-    /// Weight of a metre in the distance between two poses.
-    pub metre_counts: f64,
-    /// Weight of a radian between two viewing directions.
-    pub direction_counts: f64,
-    /// Weight of a radian of roll about the viewing direction.
-    pub roll_counts: f64,
     /// Whether the goals of the field file were on the field when the images were taken.
     pub goals: bool,
     /// Whether robots, people and balls on the carpet of a recorded image are left out of views.
@@ -35,26 +25,12 @@ impl ViewsSettings {
     pub(super) fn check(&self) -> Result<(), String> {
         check_range("views.sources", self.sources as f64, 1.0, 16.0)?;
         check_range("views.stored_within_m", self.stored_within_m, 0.0, 1.0)?;
-        check_range("views.stored_within_deg", self.stored_within_deg, 0.0, 10.0)?;
-        check_range("views.metre_counts", self.metre_counts, 0.001, 1000.0)?;
-        check_range("views.direction_counts", self.direction_counts, 0.0, 1000.0)?;
-        check_range("views.roll_counts", self.roll_counts, 0.0, 1000.0)?;
         check_range("views.cache_mb", self.cache_mb as f64, 1.0, 65_536.0)
     }
 }
 
 impl Default for ViewsSettings {
     fn default() -> Self {
-        Self {
-            sources: 4,
-            stored_within_m: 0.005,
-            stored_within_deg: 0.25,
-            metre_counts: 1.0,
-            direction_counts: 0.5,
-            roll_counts: 0.3,
-            goals: true,
-            mask_moving: true,
-            cache_mb: 512,
-        }
+        Self { sources: 4, stored_within_m: 0.005, goals: true, mask_moving: true, cache_mb: 512 }
     }
 }

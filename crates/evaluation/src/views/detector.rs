@@ -48,9 +48,7 @@ impl Detector {
         let settings = VisionSettings {
             reading: TableQuantity::Contrast,
             line_width_m: field.line_width(),
-            range_m: 0.0,
             tilt_sigma_rad: 0.005,
-            nearest_reach_m: 0.25,
             reduction: 0,
         };
         let half = field.carpet_half_extent();

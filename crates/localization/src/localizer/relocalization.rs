@@ -178,7 +178,7 @@ impl Localizer {
                 let explained = self.line_distances.explained(seen.lines(), &place, &map_from_optical).share;
                 let worth = lines.visible * (lines.share - THRESHOLDS.contradicted_share) * explained;
                 let pose = Pose2::from_isometry(&(map_from_optical * place.inverse()));
-                let convinces = convinces(&lines, explained, self.settings.valid.explained);
+                let convinces = convinces(&lines, explained);
                 let is_whole = is_whole(&lines);
                 self.state.fitting.fits.push(ScoredPose {
                     worth,

@@ -132,7 +132,9 @@ pub struct ValidationThresholds {
     pub both_ways_without_odometry: f64,
     /// Reduction of [`Self::both_ways`] for each pixel of the line width that is seen half the time, beyond the first.
     pub both_ways_per_px: f64,
-    /// Reduction of the share that must be explained, where a confirmed pose has nearly all the lines that it expects.
+    /// Smallest share of the clearly seen line that the field must have where a valid refined pose puts it.
+    pub min_explained: f64,
+    /// Reduction of [`Self::min_explained`], where a confirmed pose has nearly all the lines that it expects.
     pub held_fast_relief: f64,
     /// Share of the seen lines that a pose must have explained once to get [`Self::held_fast_relief`].
     pub well_explained: f64,
@@ -208,6 +210,7 @@ pub const THRESHOLDS: ValidationThresholds = ValidationThresholds {
     both_ways: 0.6,
     both_ways_without_odometry: 0.75,
     both_ways_per_px: 0.04,
+    min_explained: 0.7,
     held_fast_relief: 0.2,
     well_explained: 0.95,
     max_rise_m: 0.07,

@@ -24,7 +24,7 @@ pub struct SourceState {
     pub known: PathBuf,
     /// Folder with segments that are not whole yet.
     pub incoming: PathBuf,
-    _lock: File,
+    lock: File,
 }
 
 /// A source that was synced from before.
@@ -38,6 +38,13 @@ pub struct KnownSource {
     pub sessions: Vec<Session>,
     /// Those of its sessions that had ended then: they get no more segments.
     pub ended: BTreeSet<SessionId>,
+}
+
+/// Unlocks explicitly: closing the file is not enough while a process that was started meanwhile has inherited it.
+impl Drop for SourceState {
+    fn drop(&mut self) {
+        let _ = self.lock.unlock();
+    }
 }
 
 /// Content of `source.json`.
@@ -77,7 +84,7 @@ impl SourceState {
         // rsync inherits the lock: if this program is killed and rsync is not, nobody touches the files that rsync
         // still writes.
         rustix::io::fcntl_setfd(&lock, rustix::io::FdFlags::empty()).map_err(|error| io(&path)(error.into()))?;
-        let source_state = Self { known, incoming, _lock: lock };
+        let source_state = Self { known, incoming, lock };
         if !place.join(SOURCE_FILE).exists() {
             source_state.note(&SourceNote { source: source.shown(), seen: None, open: Vec::new() })?;
         }

@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use tempfile::TempDir;
 
-use super::super::super::detector::run_detector;
+use super::super::super::detector::Detector;
 use super::super::super::marks::rgb;
 use super::super::super::output;
 use super::super::super::paths::{save, temporary};
@@ -50,11 +50,12 @@ impl Asking<'_> {
     /// Asks about all images, one after the other.
     pub(super) fn ask_all(&self, chosen: &[(usize, Record)]) -> anyhow::Result<Answers> {
         let folder = temporary()?;
+        let mut detector = Detector::new(self.command);
         let mut progress = output::Progress::new("asking");
         let mut answers = Answers::default();
         for (done, (number, record)) in chosen.iter().enumerate() {
             progress.set(done as u64, Some(chosen.len() as u64));
-            match self.ask(&folder, *number, record) {
+            match self.ask(&mut detector, &folder, *number, record) {
                 Ok(compared) => answers.judged.push(Judged { number: *number, record: *record, compared }),
                 Err(why) => answers.failed.push(format!("{number:06}.png: {why:#}")),
             }
@@ -70,11 +71,17 @@ impl Asking<'_> {
         Ok(answers)
     }
 
-    fn ask(&self, folder: &TempDir, number: usize, record: &Record) -> anyhow::Result<Comparison> {
+    fn ask(
+        &self,
+        detector: &mut Detector,
+        folder: &TempDir,
+        number: usize,
+        record: &Record,
+    ) -> anyhow::Result<Comparison> {
         let image = self.images.database().image(number).map_err(anyhow::Error::msg)?;
         let picture = folder.path().join(format!("{number:06}.png"));
         save(&rgb(image.full())?, &picture)?;
-        let answer = run_detector(self.command, &picture);
+        let answer = detector.ask(&picture);
         let _ = std::fs::remove_file(&picture);
         let found = parse_detections(&answer?, self.classes);
         let found = found.with_context(|| format!("--detector {:?} printed", self.command))?;

@@ -23,8 +23,8 @@ use asking::Judged;
 
 /// Find the images in which a detector of landmarks is most surely wrong
 ///
-/// The detector is a command that gets the name of a PNG and prints what it finds, `class u v [score]` or
-/// `class u_min v_min u_max v_max [score]` a line. What it finds is held against where the tags put crossings, marks and goal posts:
+/// The detector is a command that is started once, reads names of PNGs from standard input, and prints what it finds in each, a line for
+/// each landmark and an empty line at the end: `class u v [score]` or `class u_min v_min u_max v_max [score]`. What it finds is held against where the tags put crossings, marks and goal posts:
 /// missed, false, or displaced. A miss of what is large, in plain view and known to a fraction of a pixel counts most.
 ///
 /// sheet.jpg has the worst images: found landmarks cyan, missed ones red, displaced ones yellow with a line to where they were found,
@@ -38,7 +38,7 @@ pub struct MineArguments {
     /// A capture's folder, one of its segments, or a database's folder
     #[arg(value_name = "CAPTURE|DB")]
     input: PathBuf,
-    /// Run in a shell with the name of a PNG as its last argument; prints the landmarks that it finds
+    /// Run in a shell; reads names of PNGs and prints the landmarks that it finds
     #[arg(long, value_name = "COMMAND")]
     detector: String,
     /// Folder to write, outside of any capture

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use anyhow::Context;
 
-use crate::database::{DatabaseError, ImageDatabase, Neighbour, Record, ViewQuery};
+use crate::database::{DatabaseError, ImageDatabase, Metric, Neighbour, Record, ViewQuery};
 use crate::geometry::Isometry;
 use crate::scene::{Renderer, Scene, SceneFile};
 use crate::views::{Camera, Method, Raster};
@@ -59,7 +59,7 @@ pub fn forms(database: &ImageDatabase, number: usize, apart: f64) -> anyhow::Res
 fn held_out(database: &ImageDatabase, number: usize, apart: f64) -> Vec<usize> {
     let pose = database.index().record(number).pose();
     // 512 neighbours are far more than a walk has within that distance.
-    let near = database.index().nearest(&pose, 512, &database.metric());
+    let near = database.index().nearest(&pose, 512, &Metric::default());
     let is_near =
         |at: &&Neighbour| database.index().record(at.number).pose().translation.distance(pose.translation) < apart;
     near.iter().filter(is_near).map(|at| at.number).chain([number]).collect()

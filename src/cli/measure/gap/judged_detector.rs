@@ -7,7 +7,7 @@ use image::{Rgb, RgbImage};
 use tempfile::TempDir;
 
 use super::forms::{FORMS, HeldOut, WITHOUT_GOALS};
-use crate::cli::detector::run_detector;
+use crate::cli::detector::Detector;
 use crate::cli::marks::{DIAGONAL, UPRIGHT, cross, rgb};
 use crate::cli::paths::{save, temporary};
 use crate::cli::pose_covariances::PoseCovariances;
@@ -24,6 +24,9 @@ const CROSS_PX: i64 = 5;
 /// A detector, and what it did on each form.
 pub struct JudgedDetector<'a> {
     command: &'a str,
+    detector: Detector,
+    /// Whether the command has been started: only then its answers are timed.
+    is_warm: bool,
     database: &'a ImageDatabase,
     labeller: Labeller,
     without_goals: Labeller,
@@ -45,6 +48,8 @@ impl<'a> JudgedDetector<'a> {
     pub fn new(command: &'a str, database: &'a ImageDatabase) -> anyhow::Result<Self> {
         Ok(Self {
             command,
+            detector: Detector::new(command),
+            is_warm: false,
             database,
             labeller: Labeller::new(database.field(), database.world().has_goals()),
             without_goals: Labeller::new(database.field(), false),
@@ -90,11 +95,16 @@ impl<'a> JudgedDetector<'a> {
     }
 
     /// What the detector finds in a picture, and how long that took, milliseconds.
-    fn ask(&self, picture: &RgbImage) -> anyhow::Result<(Vec<Detection>, f64)> {
+    fn ask(&mut self, picture: &RgbImage) -> anyhow::Result<(Vec<Detection>, f64)> {
         let file = self.folder.path().join("picture.png");
         save(picture, &file)?;
+        if !self.is_warm {
+            // The first answer takes the start of the command, which is no delay of a camera's frame.
+            self.detector.ask(&file)?;
+            self.is_warm = true;
+        }
         let start = Instant::now();
-        let answer = run_detector(self.command, &file)?;
+        let answer = self.detector.ask(&file)?;
         let time_ms = start.elapsed().as_secs_f64() * 1e3;
         let detections = parse_detections(&answer, LANDMARK_CLASSES)
             .with_context(|| format!("--detector {:?} printed", self.command))?;

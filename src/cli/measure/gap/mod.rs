@@ -33,8 +33,8 @@ use tables::tables;
 /// paper's view, as the nearest image, and rendered. What the project's line detector finds in each is compared, and their
 /// brightness.
 ///
-/// A detector of your own: --detector COMMAND is run with the name of a PNG and prints what it finds, a line each: `class u v [score]`,
-/// or a box `class u_min v_min u_max v_max [score]`. Classes are l_crossing, t_crossing, x_crossing, penalty_mark, centre and goalpost. The tables
+/// A detector of your own: --detector COMMAND is started once, reads names of PNGs from standard input, and prints what it finds in each,
+/// a line for each landmark and an empty line at the end: `class u v [score]`, or a box `class u_min v_min u_max v_max [score]`. Classes are l_crossing, t_crossing, x_crossing, penalty_mark, centre and goalpost. The tables
 /// say how it does by landmark, distance and light; --error-model writes a file from which simulators can sample its errors.
 #[derive(Args)]
 #[command(after_long_help = concat!(
@@ -55,7 +55,7 @@ pub struct GapArguments {
     /// One of the images, in all its forms
     #[arg(short, long, value_name = "PNG")]
     output: Option<PathBuf>,
-    /// Run in a shell with the name of a PNG as its last argument; prints detections
+    /// Run in a shell; reads names of PNGs and prints detections
     #[arg(long, value_name = "COMMAND")]
     detector: Option<String>,
     /// Model of the detector's errors on recorded images: misses, false ones, bias and spread by distance, angle and speed

@@ -3,19 +3,21 @@
 //! The stamps in the headers count, not when or in which order messages were logged. A frame waits until odometry,
 //! attitude and joints are known up to its exposure, or until waiting longer would be too late.
 
+mod robot_state;
+mod state;
+
+pub use robot_state::{GONE_NS, LOG_TIME_SIGMA_S, RobotState, STALE_NS};
+pub use state::{InitialPose, OdometryOrigin, StepOrigin, SynchroniserState};
+
 use std::collections::VecDeque;
 
 use glam::{DQuat, DVec3};
-use serde::{Deserialize, Serialize};
 
-use super::attitude_filter::{AttitudeFilter, MADE_TILT_SIGMA_RAD};
-use super::camera_twist::{RateSources, camera_twist};
-use super::history::{History, Pushed, Sample};
+use super::history::Pushed;
 use super::measurement::{Measurement, MovingFrame, StampClock, StampedTransform, StatedDeviations, TorsoState};
-use super::planar_velocity::VelocityIntegrator;
-use super::transforms::{CameraPlace, ChainError, Head, Posture, TransformTree};
+use super::transforms::ChainError;
 use realitysim_config::FrameNames;
-use realitysim_geometry::{Isometry, Physical, Pose2, Twist};
+use realitysim_geometry::{Isometry, Physical, Pose2};
 use realitysim_ros2::mcap_read::LogMessage;
 
 /// A frame with what is known about the robot at its exposure.
@@ -31,137 +33,12 @@ pub struct Frame {
     pub since: Option<StepOrigin>,
 }
 
-/// What is known of the robot at one time, mostly the exposure of a frame.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RobotState {
-    /// Pose of `base_footprint` in `odom`, metres and radians, if there is any odometry.
-    pub odometry: Option<Pose2>,
-    /// Stamp of the newest odometry that was used, nanoseconds; it does not depend on how much more had arrived.
-    pub odometry_until_ns: Option<i64>,
-    /// Pose of the camera above `base_footprint`, or why the transforms do not give it.
-    pub place: Result<CameraPlace, ChainError>,
-    /// Angles of the head, if its joints are known.
-    pub head: Option<Head>,
-    /// Turn about the vertical since the frame before, radians, if a gyro measured it.
-    pub turned_rad: Option<f64>,
-    /// Angle by which the torso has rolled and pitched since then, both ways added up, radians, if a gyro measured it.
-    pub swayed_rad: Option<f64>,
-    /// Velocity of `camera_optical_frame` along its own axes, by gyro, odometry and joints, if they are known.
-    pub camera_twist: Option<Twist>,
-    /// Whether a gyro measured how the camera turns; otherwise `camera_twist` has the turn of the feet by odometry.
-    pub turn_is_measured: bool,
-    /// Whether the odometry, an attitude, a joint angle or a transform that was used is older than [`STALE_NS`].
-    pub stale: bool,
-    /// Standard deviation of the times of odometry and gyro, seconds: [`LOG_TIME_SIGMA_S`] where the log's time stands for a stamp,
-    /// else 0.
-    pub stamp_sigma_s: f64,
-    /// Standard deviation of the torso's roll and pitch, radians, that comes of an attitude made of raw rates or stamped by log time.
-    pub tilt_sigma_rad: f64,
-    /// The pose that was announced since the last frame.
-    pub initial_pose: Option<InitialPose>,
-    /// Where the robot's step begins, if not at the frame before.
-    pub anchor: Option<OdometryOrigin>,
-}
-
-/// The odometry at a time of which there is no frame: when a pose was announced, or when odometry was first heard.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct OdometryOrigin {
-    /// That time, nanoseconds.
-    pub stamp_ns: i64,
-    /// Pose of `base_footprint` in `odom` at that time, metres and radians.
-    pub odometry: Pose2,
-    /// Log time of the message that set it, nanoseconds.
-    log_time_ns: i64,
-    /// Number of times that odometry has begun anew since then.
-    begun: u32,
-}
-
-impl OdometryOrigin {
-    fn new(stamp_ns: i64, odometry: Pose2, log_time_ns: i64) -> Self {
-        Self { stamp_ns, odometry, log_time_ns, begun: 0 }
-    }
-}
-
-/// An announced pose with its uncertainty.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct InitialPose {
-    /// Pose of `base_footprint` in `map`, metres and radians.
-    pub map_from_footprint: Pose2,
-    /// Standard deviation of the position, metres, if it was stated.
-    pub xy_m: Option<f64>,
-    /// Standard deviation of the heading, radians, if it was stated.
-    pub yaw_rad: Option<f64>,
-}
-
-/// Age beyond which a measurement does not describe a walking robot any more, nanoseconds.
-pub const STALE_NS: i64 = 250_000_000;
-/// Distance in time beyond which an attitude is not used, nanoseconds; the torso is taken to stand upright.
-pub const GONE_NS: i64 = 2_000_000_000;
 /// Log time for which a frame waits for measurements, nanoseconds.
 const MAX_WAIT_NS: i64 = 300_000_000;
 /// Largest number of frames that wait. With more, the oldest goes on with what there is.
 const MAX_WAITING: usize = 64;
 /// Largest size of the frames that wait, bytes. With more, the oldest goes on with what there is.
 const MAX_WAITING_BYTES: usize = 256 << 20;
-
-/// Standard deviation of the time of a measurement that has no stamp, seconds.
-///
-/// A message is logged up to a period of the camera after its measurement, since programs pass it on once a cycle: 33 ms at 30
-/// hertz, and an even distribution over it has a standard deviation of a twelfth's root, 10 ms.
-pub const LOG_TIME_SIGMA_S: f64 = 0.01;
-/// Age beyond which a gyro sample does not say how fast the camera turns, nanoseconds.
-const GYRO_AGE_NS: i64 = 30_000_000;
-/// Distance in time beyond which a joint angle does not say where the neck was, nanoseconds.
-const NECK_AGE_NS: i64 = 5_000_000;
-/// Time between the two poses that the speed of the neck is computed from, nanoseconds.
-const NECK_STEP_NS: i64 = 40_000_000;
-/// Time between the two poses that the speed of the feet is computed from, nanoseconds.
-const FEET_STEP_NS: i64 = 100_000_000;
-
-/// The part of a [`Synchroniser`] that a checkpoint stores: transforms, and the recent past of each measurement.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct SynchroniserState {
-    tree: TransformTree,
-    odometry: History<Pose2>,
-    odometry_in_tf: History<Pose2>,
-    attitude: History<DQuat>,
-    /// Turn rate of the torso about the vertical, radians per second.
-    turn_rate: History<f64>,
-    /// Magnitude of the torso's turn rate about horizontal axes, radians per second.
-    sway_rate: History<f64>,
-    /// Turn rate of the torso about its own axes, radians per second.
-    torso_rate: History<DVec3>,
-    /// Makes an attitude of raw rates and accelerations, as long as no sensor has stated one.
-    attitude_filter: AttitudeFilter,
-    /// Whether a sensor has stated its attitude.
-    attitude_is_stated: bool,
-    /// Adds velocities up to odometry.
-    velocity: VelocityIntegrator,
-    /// Whether odometry has no stamps, and the log's times stand for them.
-    odometry_by_log_time: bool,
-    /// The same of attitude and turn rates.
-    attitude_by_log_time: bool,
-    /// The last frame that was popped.
-    last_frame: Option<StepOrigin>,
-    pan: History<f64>,
-    tilt: History<f64>,
-    initial_pose: Option<InitialPose>,
-    /// Where the step to the next frame begins, if not at the last one.
-    anchor: Option<OdometryOrigin>,
-}
-
-/// The time from which the robot's step to the next frame counts.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct StepOrigin {
-    /// Exposure of the last frame, or the later announcement of a pose, or the first odometry; nanoseconds.
-    pub stamp_ns: i64,
-    /// Log time of that message, nanoseconds.
-    pub log_time_ns: i64,
-    /// Time between the last frame and the one before, nanoseconds; 0 if not known.
-    pub interval_ns: i64,
-    /// Number of times that odometry has begun anew since then.
-    begun: u32,
-}
 
 /// Collects measurements and frames, and gives out each frame with the robot's state at its exposure.
 ///
@@ -418,109 +295,12 @@ impl Synchroniser {
         Some(Frame { robot, message, stamp_ns, since })
     }
 
-    /// Returns the state of the robot for a next frame that is exposed at `stamp_ns`.
-    pub fn robot_next(&self, stamp_ns: i64) -> RobotState {
-        let Self { state, .. } = self;
-        let since_ns = self.since().map(|since| since.stamp_ns);
-        RobotState { initial_pose: state.initial_pose, anchor: state.anchor, ..self.robot(since_ns, stamp_ns) }
-    }
-
-    /// Returns the state of the robot at `stamp_ns` where there is no frame at `since_ns` either; turns count from then.
-    pub fn robot_between(&self, since_ns: i64, stamp_ns: i64) -> RobotState {
-        self.robot(Some(since_ns), stamp_ns)
-    }
-
     /// Lets the next step begin at the frame that has just been given out.
     fn begin_step(&mut self, stamp_ns: i64, log_time_ns: i64) {
         let state = &mut self.state;
         let interval_ns = state.last_frame.map_or(0, |last| stamp_ns.saturating_sub(last.stamp_ns));
         state.last_frame = Some(StepOrigin { stamp_ns, log_time_ns, interval_ns, begun: 0 });
         (state.initial_pose, state.anchor) = (None, None);
-    }
-
-    /// Returns the state of the robot at `stamp_ns`, with turns since `since_ns`, and without announced pose and anchor.
-    fn robot(&self, since_ns: Option<i64>, stamp_ns: i64) -> RobotState {
-        let state = &self.state;
-        let odometry = state.odometry();
-        let attitude = state.attitude.at(stamp_ns).filter(|sample| sample.age_ns <= GONE_NS);
-        let head = state.head(stamp_ns);
-        let posture = Posture { attitude: attitude.map(|sample| sample.value), head };
-        let place = state.tree.camera_place(stamp_ns, &self.names, posture);
-        let torso_rate = self.torso_rate(stamp_ns);
-        let camera_twist = place.as_ref().ok().and_then(|place| self.camera_twist(stamp_ns, place, torso_rate));
-        // After a gap in velocities nothing says how far the robot has walked.
-        let is_unknown = since_ns.is_some_and(|since_ns| state.velocity.has_gap_between(since_ns, stamp_ns));
-        let step = odometry.at(stamp_ns).filter(|_| !is_unknown);
-        let ages = [
-            step.map(|s| s.age_ns),
-            attitude.map(|s| s.age_ns),
-            state.pan.at(stamp_ns).map(|s| s.age_ns),
-            state.tilt.at(stamp_ns).map(|s| s.age_ns),
-            place.as_ref().ok().map(|place| place.age_ns),
-        ];
-        RobotState {
-            odometry: step.map(|sample| sample.value),
-            odometry_until_ns: odometry.until(stamp_ns),
-            place,
-            head,
-            turned_rad: since_ns.and_then(|since_ns| state.turn_rate.integral(since_ns, stamp_ns)),
-            swayed_rad: since_ns.and_then(|since_ns| state.sway_rate.integral(since_ns, stamp_ns)),
-            camera_twist,
-            turn_is_measured: torso_rate.is_some() && camera_twist.is_some(),
-            stale: ages.into_iter().flatten().any(|age| age > STALE_NS),
-            stamp_sigma_s: if state.is_by_log_time() { LOG_TIME_SIGMA_S } else { 0.0 },
-            tilt_sigma_rad: if attitude.is_some() { state.tilt_sigma_rad(stamp_ns) } else { 0.0 },
-            initial_pose: None,
-            anchor: None,
-        }
-    }
-
-    /// Returns the torso's turn rate about its own axes by gyro, radians per second; `None` if that is old or exactly zero.
-    fn torso_rate(&self, stamp_ns: i64) -> Option<DVec3> {
-        let measured = |rate: &Sample<DVec3>| rate.age_ns <= GYRO_AGE_NS && rate.value != DVec3::ZERO;
-        Some(self.state.torso_rate.at(stamp_ns).filter(measured)?.value)
-    }
-
-    /// Returns how the camera moves. Without a gyro the torso is taken to turn with the feet.
-    ///
-    /// `None` if the robot has neck joints whose angles are not known, or if the velocity is impossible.
-    fn camera_twist(&self, stamp_ns: i64, now: &CameraPlace, torso_rate: Option<DVec3>) -> Option<Twist> {
-        let state = &self.state;
-        let (neck_ns, feet_ns) = (stamp_ns.saturating_sub(NECK_STEP_NS), stamp_ns.saturating_sub(FEET_STEP_NS));
-        let is_heard = |joint: &History<f64>, at_ns: i64| {
-            joint.is_empty() || joint.at(at_ns).is_some_and(|angle| angle.age_ns <= NECK_AGE_NS)
-        };
-        if ![neck_ns, stamp_ns].iter().all(|at_ns| is_heard(&state.pan, *at_ns) && is_heard(&state.tilt, *at_ns)) {
-            return None;
-        }
-        let posture = Posture { attitude: None, head: state.head(neck_ns) };
-        let neck = state.tree.camera_place(neck_ns, &self.names, posture).ok()?.base_from_optical;
-        let odometry = |stamp_ns| state.odometry().at(stamp_ns).map(|sample| sample.value);
-        let feet = odometry(feet_ns).zip(odometry(stamp_ns)).map(|(then, now)| then.inverse().compose(&now));
-        let seconds = |step_ns: i64| step_ns as f64 * 1e-9;
-        let (feet, feet_s) = (feet.unwrap_or_default(), seconds(FEET_STEP_NS));
-        let sources = RateSources {
-            torso_rate: torso_rate.unwrap_or(DVec3::Z * (feet.yaw / feet_s)),
-            neck: (neck, seconds(NECK_STEP_NS)),
-            feet: (feet, feet_s),
-        };
-        camera_twist(now, &sources)
-    }
-
-    /// Returns whether all measurements are known up to `stamp_ns`.
-    fn is_known_until(&self, stamp_ns: i64) -> bool {
-        let state = &self.state;
-        let reaches = |settled: Option<i64>| settled.is_none_or(|settled| settled >= stamp_ns);
-        // Odometry that has never been heard is waited for as long as the log allows: it may only start late.
-        let odometry = state.odometry().settled_ns().is_some_and(|settled| settled >= stamp_ns);
-        let unheard = (self.expected.imu && state.attitude.is_empty())
-            || (self.expected.joints && state.pan.is_empty() && state.tilt.is_empty());
-        odometry
-            && !unheard
-            && reaches(state.attitude.settled_ns())
-            && reaches(state.pan.settled_ns())
-            && reaches(state.tilt.settled_ns())
-            && state.tree.is_known_until(stamp_ns, &self.names)
     }
 
     /// Takes transforms into the tree; that from `odom` to `base_footprint` is odometry.
@@ -591,56 +371,5 @@ impl Synchroniser {
             Pushed::Impossible => self.impossible += 1,
             Pushed::Taken | Pushed::Known => {}
         }
-    }
-}
-
-impl Physical for InitialPose {
-    fn is_possible(&self) -> bool {
-        self.map_from_footprint.is_possible() && self.xy_m.is_possible() && self.yaw_rad.is_possible()
-    }
-}
-
-impl Physical for SynchroniserState {
-    fn is_possible(&self) -> bool {
-        let Self { tree, odometry, odometry_in_tf, attitude, turn_rate, sway_rate, torso_rate, pan, tilt, .. } = self;
-        tree.is_possible()
-            && self.attitude_filter.is_possible()
-            && self.velocity.is_possible()
-            && [odometry, odometry_in_tf].iter().all(|history| history.is_possible())
-            && [turn_rate, sway_rate, pan, tilt].iter().all(|history| history.is_possible())
-            && (attitude.is_possible() && torso_rate.is_possible())
-            && self.initial_pose.is_possible()
-            && self.anchor.is_none_or(|anchor| anchor.odometry.is_possible())
-    }
-}
-
-impl SynchroniserState {
-    /// Returns the angles of the head, if at least one joint is known.
-    fn head(&self, stamp_ns: i64) -> Option<Head> {
-        let [pan, tilt] = [&self.pan, &self.tilt].map(|joint| joint.at(stamp_ns).map(|sample| sample.value));
-        (pan.is_some() || tilt.is_some()).then(|| Head { pan: pan.unwrap_or(0.0), tilt: tilt.unwrap_or(0.0) })
-    }
-
-    /// Returns whether odometry or turn rates have no stamps of their own.
-    fn is_by_log_time(&self) -> bool {
-        let odometry = self.odometry_by_log_time && !self.odometry.is_empty();
-        odometry || (self.attitude_by_log_time && !self.turn_rate.is_empty())
-    }
-
-    /// Returns the standard deviation that an attitude has because it was made here, or because its time is not known well.
-    fn tilt_sigma_rad(&self, stamp_ns: i64) -> f64 {
-        let made = if self.attitude_is_stated { 0.0 } else { MADE_TILT_SIGMA_RAD };
-        let sways = self.sway_rate.at(stamp_ns).filter(|_| self.attitude_by_log_time);
-        libm::hypot(made, sways.map_or(0.0, |rate| LOG_TIME_SIGMA_S * rate.value))
-    }
-
-    /// Returns the announced pose that no frame has been given out with yet.
-    pub fn pending(&self) -> Option<InitialPose> {
-        self.initial_pose
-    }
-
-    /// Returns the odometry of its topic, or that of `/tf` where there is none.
-    fn odometry(&self) -> &History<Pose2> {
-        if self.odometry.is_empty() { &self.odometry_in_tf } else { &self.odometry }
     }
 }
