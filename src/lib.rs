@@ -6,6 +6,8 @@
 
 #[cfg(feature = "catalogue")]
 pub use realitysim_catalogue as catalogue;
+#[cfg(feature = "query")]
+pub use realitysim_catalogue_query as catalogue_query;
 pub use realitysim_config as config;
 pub use realitysim_database as database;
 pub use realitysim_devices as devices;

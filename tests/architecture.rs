@@ -55,6 +55,22 @@ fn the_core_is_built_of_mathematics_alone() {
     assert!(others.is_empty(), "the core depends on {others:?}");
 }
 
+/// Crates that only optional features need: the default build leaves them out, because they take long to compile.
+const OPTIONAL: [&str; 1] = ["catalogue-query"];
+
+#[test]
+fn every_crate_but_the_optional_ones_is_built_by_default() {
+    let manifest: toml::Table = toml::from_str(include_str!("../Cargo.toml")).expect("a manifest");
+    let members = manifest["workspace"]["default-members"].as_array().expect("a list");
+    let named: BTreeSet<&str> = members.iter().filter_map(|name| name.as_str()?.strip_prefix("crates/")).collect();
+    let folders = fs::read_dir("crates").expect("crates").map(|entry| entry.expect("an entry").file_name());
+    let folders: Vec<String> = folders.map(|name| name.into_string().expect("a plain name")).collect();
+    let built: BTreeSet<&str> = folders.iter().map(String::as_str).filter(|name| !OPTIONAL.contains(name)).collect();
+    assert_eq!(named, built);
+    let dev = include_str!("../dev");
+    assert!(OPTIONAL.iter().all(|name| dev.contains(&format!("realitysim-{name}"))));
+}
+
 /// The rows of the table of crates in docs/explanation/architecture.md, in its order.
 fn rows() -> Vec<String> {
     let text = fs::read_to_string("docs/explanation/architecture.md").expect("docs/explanation/architecture.md");

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use super::paths::check_output;
+#[cfg(not(feature = "query"))]
+use super::settings::UsageError;
 use super::{Outcome, output};
 use crate::catalogue::{self, Entry, EntryState, Report};
 use crate::recording::Loss;
@@ -29,6 +31,7 @@ enum Command {
     Rebuild(RebuildArguments),
     Add(AddArguments),
     Show(ShowArguments),
+    Query(QueryArguments),
 }
 
 /// Make a catalogue of all captures in a folder
@@ -64,6 +67,21 @@ struct ShowArguments {
     catalogue: PathBuf,
 }
 
+/// Answer a question in SQL; the table is `frames`
+///
+/// DataFusion answers it in this process, if the program is built with the feature `query`. Nothing but questions is done. With --json each row is
+/// a line, and what is null is left out of it.
+#[derive(Args)]
+#[command(
+    after_long_help = "Example:\n  realitysim catalogue query catalogue/ \"select robot, count(*) from frames group by robot\""
+)]
+struct QueryArguments {
+    /// The catalogue's folder
+    catalogue: PathBuf,
+    /// The question
+    sql: String,
+}
+
 pub fn run(arguments: &CatalogueArguments, json: bool) -> anyhow::Result<Outcome> {
     match &arguments.command {
         Command::Rebuild(RebuildArguments { captures, output }) => {
@@ -76,6 +94,7 @@ pub fn run(arguments: &CatalogueArguments, json: bool) -> anyhow::Result<Outcome
             change(output, json, |progress| catalogue::add(output, captures, progress))
         }
         Command::Show(arguments) => show(&catalogue::show(&arguments.catalogue)?, json),
+        Command::Query(QueryArguments { catalogue, sql }) => query(catalogue, sql, json),
     }
 }
 
@@ -106,6 +125,19 @@ fn change(
         ))?;
     }
     Ok(if report.sessions == 0 { Outcome::NotReached } else { Outcome::of(&report.losses) })
+}
+
+#[cfg(feature = "query")]
+fn query(catalogue: &Path, sql: &str, json: bool) -> anyhow::Result<Outcome> {
+    let answer = crate::catalogue_query::query(catalogue, sql)?;
+    output::lines(if json { answer.json_lines()? } else { answer.table()? }.trim_end())?;
+    Ok(Outcome::Whole)
+}
+
+#[cfg(not(feature = "query"))]
+fn query(catalogue: &Path, _sql: &str, _json: bool) -> anyhow::Result<Outcome> {
+    let what = "questions are answered by a program that is built with `--features query`; any other asks DuckDB, Polars or pandas";
+    Err(UsageError(format!("{}: {what}", catalogue.display())).into())
 }
 
 fn show(entries: &[Entry], json: bool) -> anyhow::Result<Outcome> {

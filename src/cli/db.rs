@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 use serde::Serialize;
 
+use super::catalogue_beside::update_catalogue;
 use super::paths::{check_output, save};
 use super::settings::{UsageError, field_size};
 use super::values::whole;
@@ -13,6 +14,7 @@ use crate::config::{Settings, load_field_of_size};
 use crate::database::{self, Added, Checked, ImageDatabase, ScaledLens, Stats, TagLimits};
 use crate::evaluation::drawing::{WalkGuide, WalkPlace, coverage_map};
 use crate::geometry::PoseGrid;
+use crate::recording::SESSION_FILE;
 use crate::tagging::warnings::scaled_lens;
 use crate::views::Hall;
 
@@ -159,6 +161,8 @@ fn add(arguments: &AddArguments, json: bool) -> anyhow::Result<Outcome> {
     let mut progress = output::Progress::new("reading");
     let added = database::add(db, sources, field.as_ref(), limits, &mut |done| progress.set(done, None))?;
     progress.finish();
+    let is_capture = |source: &&PathBuf| source.join(SESSION_FILE).is_file();
+    update_catalogue(&sources.iter().filter(is_capture).cloned().collect::<Vec<_>>());
     report_added(&added, db, json)
 }
 

@@ -7,6 +7,7 @@ mod accuracy;
 mod calibrate;
 #[cfg(feature = "catalogue")]
 mod catalogue;
+mod catalogue_beside;
 mod check;
 mod db;
 mod demo;
@@ -22,6 +23,7 @@ mod html;
 mod import;
 mod input_files;
 mod install;
+mod job;
 mod junit;
 mod labels;
 mod live;
@@ -100,6 +102,7 @@ enum Command {
     // Captures at home.
     Sync(Box<sync::SyncArguments>),
     Sessions(sessions::SessionsArguments),
+    Job(job::JobArguments),
     #[cfg(feature = "catalogue")]
     Catalogue(catalogue::CatalogueArguments),
     // Images of any pose.
@@ -154,6 +157,7 @@ pub fn run() -> ExitCode {
         Command::Labels(arguments) => labels::run(&arguments, json),
         Command::Sync(arguments) => sync::run(&arguments, json),
         Command::Sessions(arguments) => sessions::run(&arguments, json),
+        Command::Job(arguments) => job::run(&arguments, json),
         #[cfg(feature = "catalogue")]
         Command::Catalogue(arguments) => catalogue::run(&arguments, json),
         Command::Db(arguments) => db::run(&arguments, json),
@@ -195,6 +199,10 @@ fn error_text(error: &anyhow::Error) -> String {
 
 /// Whether a config or an argument is wrong, as opposed to the input or the machine.
 fn is_usage(error: &anyhow::Error) -> bool {
+    #[cfg(feature = "query")]
+    if matches!(error.downcast_ref(), Some(crate::catalogue_query::QueryError::Sql(_))) {
+        return true;
+    }
     error.chain().any(|cause| {
         cause.is::<ConfigError>()
             || cause.is::<SceneError>()
@@ -239,6 +247,15 @@ mod tests {
         command.get_subcommands().for_each(|inner| each(inner, &name, look));
     }
 
+    /// The words of a command line; a quoted text is one.
+    fn words(line: &str) -> Vec<String> {
+        let parts = line.split('"').enumerate().flat_map(|(index, part)| match index % 2 {
+            0 => part.split_whitespace().map(str::to_owned).collect(),
+            _ => vec![part.to_owned()],
+        });
+        parts.collect()
+    }
+
     #[test]
     fn every_help_has_an_example_that_the_program_takes() {
         let mut count = 0;
@@ -249,12 +266,7 @@ mod tests {
             assert!(!examples.is_empty(), "{name} --help has no example:\n{help}");
             for example in examples {
                 assert!(example.starts_with(name), "{name}: {example}");
-                // A quoted text is one word for the parser.
-                let words = example.split('"').enumerate().flat_map(|(index, part)| match index % 2 {
-                    0 => part.split_whitespace().map(str::to_owned).collect(),
-                    _ => vec![part.to_owned()],
-                });
-                let parsed = Arguments::try_parse_from(words);
+                let parsed = Arguments::try_parse_from(words(example));
                 assert!(
                     parsed.is_ok(),
                     "{name}: {example}: {}",
@@ -306,7 +318,7 @@ mod tests {
                 for line in command_lines(&std::fs::read_to_string(&path).expect("a document")) {
                     count += 1;
                     use clap::error::ErrorKind;
-                    let Err(error) = Arguments::try_parse_from(line.split_whitespace()) else { continue };
+                    let Err(error) = Arguments::try_parse_from(words(&line)) else { continue };
                     if matches!(error.kind(), ErrorKind::UnknownArgument | ErrorKind::InvalidSubcommand) {
                         wrong.push(format!("{}: {line}: {error}", path.display()));
                     }

@@ -22,6 +22,14 @@ pub struct OpenedDatabase {
 impl OpenedDatabase {
     /// Opens the database in a folder, or makes one of a capture, with poses whose place is known to `max_sigma_m` metres.
     pub fn of(input: &Path, max_sigma_m: f64) -> anyhow::Result<Self> {
+        let mut progress = output::Progress::new("reading");
+        let opened = Self::read(input, max_sigma_m, &mut |done| progress.set(done, None));
+        progress.finish();
+        opened
+    }
+
+    /// Does the same as [`Self::of`]; `done` gets the number of images read so far of a capture.
+    pub fn read(input: &Path, max_sigma_m: f64, done: &mut dyn FnMut(u64)) -> anyhow::Result<Self> {
         let settings = Settings::default().views;
         match Contents::read(input) {
             // A capture, or a path that `add` says more of.
@@ -31,10 +39,7 @@ impl OpenedDatabase {
         }
         let made = tempfile::tempdir()?;
         let limits = TagLimits { sigma_m: max_sigma_m, ..TagLimits::default() };
-        let mut progress = output::Progress::new("reading");
-        let read = &mut |done| progress.set(done, None);
-        let added = database::add(made.path(), &[input.to_owned()], None, limits, read)?;
-        progress.finish();
+        let added = database::add(made.path(), &[input.to_owned()], None, limits, done)?;
         let database = ImageDatabase::open(made.path(), &settings)?;
         Ok(Self { database, lost: added.losses, _made: Some(made) })
     }

@@ -41,6 +41,11 @@ impl Progress {
         }
     }
 
+    /// Prints a line beside the bar.
+    pub fn line(&self, text: &str) {
+        self.bar.suspend(|| eprintln!("{text}"));
+    }
+
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
+use super::catalogue_beside::update_catalogue;
 use super::paths::temporary;
 use super::values::whole;
 use super::{Outcome, output};
@@ -22,7 +23,7 @@ use crate::tagging::offline_refinement::refine;
 ///
 /// Lines, odometry, IMU and mount of all frames are fitted at once, and with them what is constant: focal length and centre of the lens, the
 /// mount's tilt, the camera's height. Writes CAPTURE/refined, which `db add` prefers if lines that took no part fit it better; what was
-/// recorded is not touched. Tells how good the tags
+/// recorded is not touched; a folder `catalogue` beside that of the captures is brought up to date. Tells how good the tags
 /// are before and after: by --truth, and by views of every so many images made from the others.
 #[derive(Args)]
 #[command(after_long_help = "Example:\n  realitysim refine captures/2026-11-21T10-00-00Z-robot --truth walk.mcap")]
@@ -86,6 +87,7 @@ pub fn run(arguments: &RefineArguments, json: bool) -> anyhow::Result<Outcome> {
     let recorded = without_refinement(capture)?;
     let before = judged(recorded.path(), &refining.tags, 0)?;
     let folder = refining.write(capture)?;
+    update_catalogue(std::slice::from_ref(capture));
     let after = judged(capture, &refining.refined, 1)?;
     output::losses(&refining.losses);
     let report = Report { frames, tags: refining.tags.len(), before, after, constants, preferred, output: folder };

@@ -7,12 +7,13 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use jiff::{ToSpan, Zoned};
 
+use super::catalogue_beside::update_catalogue;
 use super::settings::{UsageError, numbers};
 use super::values::whole;
 use super::{Outcome, output};
 use crate::live::stop_flag;
-use crate::recording::SESSION_FILE;
 use crate::recording::sync::{Event, Options, Report, SSH, Selection, Source, Store, SyncError, Within, round};
+use crate::recording::{METADATA_FILE, SESSION_FILE};
 
 /// Fetch recordings from a robot, or from a stick
 ///
@@ -143,7 +144,16 @@ fn sync_once(options: &Options, store: &Store, stop: &AtomicBool) -> Result<Repo
         Event::Again { said } => progress.say(&format!("{said}; it is tried again")),
     });
     progress.finish();
+    if let Ok(report) = &result {
+        update_catalogue(&ended_sessions(report, store));
+    }
     result
+}
+
+/// The sessions of a report that have ended: one that is still being recorded would be read again at each look.
+fn ended_sessions(report: &Report, store: &Store) -> Vec<PathBuf> {
+    let folders = report.sessions.iter().map(|session| store.captures().join(&session.session));
+    folders.filter(|folder| folder.join(METADATA_FILE).is_file()).collect()
 }
 
 fn check_places(source: &Source, output: &std::path::Path) -> Result<(), UsageError> {

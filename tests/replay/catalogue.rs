@@ -107,6 +107,37 @@ fn two_writers_of_a_catalogue_do_not_meet() {
 
 #[test]
 fn the_documented_queries_have_their_answers() {
+    ask_documented_queries(&[]);
+}
+
+#[cfg(feature = "query")]
+#[test]
+fn a_query_has_the_answer_of_duckdb() {
+    ask_documented_queries(&[env!("CARGO_BIN_EXE_realitysim")]);
+}
+
+#[cfg(not(feature = "query"))]
+#[test]
+fn a_program_that_answers_no_query_says_which_one_does() {
+    Room::new().run_words(&["catalogue", "query", "catalogue", "select 1"], &[]).fails(2, &["--features query"]);
+}
+
+#[cfg(feature = "query")]
+#[test]
+fn a_query_that_cannot_be_asked_is_a_wrong_call() {
+    let (room, _) = catalogued();
+    let ask = |folder: &str, sql: &str| room.run_words(&["catalogue", "query", folder, sql], &[]);
+    let table = ask("catalogue", "select count(*) as frames from frames").succeeds().stdout;
+    assert!(table.contains("| frames |"), "{table}");
+    ask("catalogue", "select nothing from frames").fails(2, &["nothing", "the table is frames"]);
+    ask("catalogue", "drop table frames").fails(2, &["the table is frames"]);
+    ask("none", "select 1").fails(1, &["none"]);
+    fs::write(only_file(&room), "PAR1").unwrap();
+    ask("catalogue", "select count(x_m) from frames").fails(1, &["`realitysim catalogue show`"]);
+}
+
+/// Asks DuckDB, and these programs, what the document asks.
+fn ask_documented_queries(programs: &[&str]) {
     let Some(python) = std::env::var_os(INTERPRETER) else {
         println!("skipped: {INTERPRETER} names no interpreter");
         return;
@@ -115,8 +146,52 @@ fn the_documented_queries_have_their_answers() {
     let root = env!("CARGO_MANIFEST_DIR");
     let script = format!("{root}/tests/replay/check_catalogue.py");
     let document = format!("{root}/docs/howto/catalogue.md");
-    let output = Command::new(python).arg(script).arg(room.path("catalogue")).arg(document).output().unwrap();
+    let output =
+        Command::new(python).arg(script).arg(room.path("catalogue")).arg(document).args(programs).output().unwrap();
     let said = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(said.trim(), format!("6 {}", replayed.tags.len()));
+}
+
+#[test]
+fn the_catalogue_beside_captures_follows_refine_db_and_sync() {
+    let (room, replayed) = catalogued();
+    let session = session_name(&replayed);
+    let before = fs::read(only_file(&room)).unwrap();
+    let run = room.run(&format!("db add {session} --db images")).succeeds();
+    assert!(!run.stderr.contains("catalogue") && fs::read(only_file(&room)).unwrap() == before, "{run:?}");
+    let run = room.run(&format!("refine {session} --views 0")).succeeds();
+    assert!(run.stderr.contains(&format!("catalogue: has {} rows of {session} now", replayed.tags.len())), "{run:?}");
+    room.run("catalogue show catalogue").succeeds();
+    // The rows of the file are those of a rebuild: the tags that `db add` takes.
+    let followed = fs::read(only_file(&room)).unwrap();
+    room.run(&format!("catalogue rebuild {CAPTURES} -o catalogue")).succeeds();
+    assert!(fs::read(only_file(&room)).unwrap() == followed);
+
+    fs::create_dir(room.path("home")).unwrap();
+    room.run(&format!("catalogue rebuild {CAPTURES} -o home/catalogue")).succeeds();
+    let run = room.run(&format!("sync {CAPTURES} -o home/captures")).succeeds();
+    assert!(run.stderr.contains("home/catalogue: has"), "{run:?}");
+    let text = room.run("catalogue show home/catalogue --json").succeeds().json();
+    assert!(text[0]["capture"].as_str().unwrap().contains("home/captures"), "{text}");
+    // Nothing changed: nothing is read again.
+    let run = room.run(&format!("sync {CAPTURES} -o home/captures")).succeeds();
+    assert!(!run.stderr.contains("catalogue"), "{run:?}");
+}
+
+#[test]
+fn a_catalogue_that_cannot_follow_stops_no_command() {
+    let (room, _) = catalogued();
+    fs::create_dir(room.path("home")).unwrap();
+    room.run(&format!("catalogue rebuild {CAPTURES} -o home/catalogue")).succeeds();
+    let file = files(&room.path("home/catalogue")).remove(0);
+    let bytes = fs::read(&file).unwrap();
+    let at = bytes.windows(10).position(|part| part == b"\"format\":1").unwrap();
+    let mut changed = bytes.clone();
+    changed[at + 9] = b'9';
+    fs::write(&file, &changed).unwrap();
+    let run = room.run(&format!("sync {CAPTURES} -o home/captures")).succeeds();
+    assert!(run.stderr.contains("not brought up to date") && run.stderr.contains("format 9"), "{run:?}");
+    assert!(fs::read(&file).unwrap() == changed);
+    room.run("catalogue show home/catalogue").fails(3, &["format 9"]);
 }

@@ -31,6 +31,7 @@ mod hostile_database;
 mod import;
 mod independent;
 mod interrupted;
+mod job;
 mod labels;
 mod lenses;
 mod look;

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use jiff::Timestamp;
 
 use super::error::{CatalogueError, io};
-use super::fingerprint::source_hash;
 use super::partition;
 use super::row::{CatalogueRow, short};
 use super::{FORMAT, FileHead};
@@ -15,7 +14,7 @@ use realitysim_database::best_tags;
 use realitysim_geometry::Isometry;
 use realitysim_log_input::decode;
 use realitysim_log_input::log::{LogSource, files_of};
-use realitysim_recording::{Head, Loss, SESSION_FILE, SessionInfo, losses, read_info};
+use realitysim_recording::{Head, Loss, SESSION_FILE, SessionInfo, losses, read_info, source_hash};
 use realitysim_ros2::mcap_read::Selection;
 use realitysim_ros2::messages::FrameTag;
 

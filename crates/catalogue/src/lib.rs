@@ -3,7 +3,7 @@
 //! A row is a frame: where its bytes lie, its stamp, its pose and how well that is known ([`CatalogueRow`]). The rows of a session
 //! are one Parquet file, `field=NAME/date=YYYY-MM-DD/robot=NAME/SESSION.parquet`, so that adding a session rewrites no other.
 //! Rows with like poses share a row group, so that a query for a range of poses reads few of them. DuckDB, Polars and
-//! pandas read the files as they are. [`rebuild`] and [`add`] maintain a catalogue, [`show`] compares it with its captures. The
+//! pandas read the files as they are. [`rebuild`], [`add`] and [`update`] maintain a catalogue, [`show`] compares it with its captures. The
 //! schema stands in docs/reference/formats.md.
 //!
 //! ```rust
@@ -24,7 +24,6 @@ mod capture;
 mod column;
 mod error;
 mod file;
-mod fingerprint;
 mod partition;
 mod row;
 mod store;
@@ -33,7 +32,7 @@ pub use capture::{CapturedSession, rows_of_capture};
 pub use error::CatalogueError;
 pub use file::{FORMAT, FileHead, PoseRange, parquet_of_rows, pruned_groups, read_head, read_rows};
 pub use row::{CatalogueRow, PoseCell};
-pub use store::{Entry, EntryState, Report, add, rebuild, show};
+pub use store::{Entry, EntryState, Report, add, catalogue_beside, catalogue_files, rebuild, show, update};
 
 #[cfg(test)]
 mod tests;

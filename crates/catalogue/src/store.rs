@@ -9,10 +9,9 @@ use serde::Serialize;
 use super::capture::{CapturedSession, rows_of_capture};
 use super::error::{CatalogueError, io};
 use super::file::{FileHead, parquet_of_rows, read_head};
-use super::fingerprint::source_hash;
 use super::partition::files;
 use realitysim_recording::storage::Disk;
-use realitysim_recording::{FolderLock, Loss, captures_within, sessions_of, write_atomically};
+use realitysim_recording::{FolderLock, Loss, captures_within, sessions_of, source_hash, write_atomically};
 
 /// What a change of a catalogue has done.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -43,9 +42,41 @@ pub type Progress<'a> = &'a mut dyn FnMut(u64);
 /// Fails if a path is no capture, if another process changes the catalogue, or if one of its files is of a newer version.
 pub fn add(catalogue: &Path, captures: &[PathBuf], progress: Progress) -> Result<Report, CatalogueError> {
     let _lock = lock(catalogue)?;
+    add_those(catalogue, captures, |_, _| true, progress)
+}
+
+/// The catalogue that is kept up to date with a folder of captures: `catalogue` beside the folder; `None` if there is none.
+pub fn catalogue_beside(captures: &Path) -> Option<PathBuf> {
+    let catalogue = captures.canonicalize().ok()?.parent()?.join(FOLDER_BESIDE);
+    files(&catalogue).is_ok_and(|files| !files.is_empty()).then_some(catalogue)
+}
+
+/// Name of the folder of [`catalogue_beside`].
+const FOLDER_BESIDE: &str = "catalogue";
+
+/// Adds those captures to a catalogue that it lacks, or that changed since. Waits for another process that changes it.
+///
+/// # Errors
+///
+/// Fails if a path is no capture, or if a file of the catalogue is of a newer version.
+pub fn update(catalogue: &Path, captures: &[PathBuf], progress: Progress) -> Result<Report, CatalogueError> {
+    let _lock = FolderLock::in_folder(catalogue).map_err(io(catalogue))?;
+    let is_new = |known: &Known, capture: &Path| !known.has_current(capture);
+    add_those(catalogue, captures, is_new, progress)
+}
+
+fn add_those(
+    catalogue: &Path,
+    captures: &[PathBuf],
+    is_asked_for: impl Fn(&Known, &Path) -> bool,
+    progress: Progress,
+) -> Result<Report, CatalogueError> {
     let mut known = Known::read(catalogue)?;
     let mut report = Report { warnings: known.foreign.clone(), ..Report::default() };
     for capture in captures {
+        if !is_asked_for(&known, capture) {
+            continue;
+        }
         let session = rows_of_capture(capture, progress).map_err(|error| match error {
             CatalogueError::Source { path, what } => {
                 CatalogueError::Source { what: what + &captures_within(&path), path }
@@ -148,11 +179,17 @@ pub enum EntryState {
 ///
 /// Fails if the folder has no file of a catalogue.
 pub fn show(catalogue: &Path) -> Result<Vec<Entry>, CatalogueError> {
+    Ok(catalogue_files(catalogue)?.into_iter().map(|file| entry(catalogue, &file)).collect())
+}
+
+/// The files of a catalogue, by path.
+///
+/// # Errors
+///
+/// Fails if the folder has none.
+pub fn catalogue_files(catalogue: &Path) -> Result<Vec<PathBuf>, CatalogueError> {
     let files = files(catalogue)?;
-    if files.is_empty() {
-        return Err(CatalogueError::None { path: catalogue.to_owned() });
-    }
-    Ok(files.into_iter().map(|file| entry(catalogue, &file)).collect())
+    if files.is_empty() { Err(CatalogueError::None { path: catalogue.to_owned() }) } else { Ok(files) }
 }
 
 fn entry(catalogue: &Path, path: &Path) -> Entry {
@@ -189,6 +226,14 @@ struct Known {
 }
 
 impl Known {
+    /// Whether the catalogue has a capture as it is now.
+    fn has_current(&self, capture: &Path) -> bool {
+        let Ok(capture) = capture.canonicalize() else { return false };
+        let Ok(hash) = source_hash(&capture) else { return false };
+        let capture = capture.display().to_string();
+        self.heads.iter().any(|(_, head)| head.capture == capture && head.source_hash == hash)
+    }
+
     /// Reads the ends of all files. A file of a newer version is an error, because nothing may be lost of it.
     fn read(catalogue: &Path) -> Result<Self, CatalogueError> {
         let mut known = Self { heads: Vec::new(), damaged: Vec::new(), foreign: Vec::new() };

@@ -55,6 +55,7 @@ mod session_writer;
 pub mod sessions;
 #[cfg(test)]
 mod simulation;
+mod source_hash;
 mod status;
 pub mod storage;
 pub mod sync;
@@ -89,6 +90,7 @@ pub use retention::Evicted;
 pub use segment::{ACTIVE, is_segment_name};
 pub use session_writer::{Ended, SegmentState, SessionWriter, Writing, camera_transforms};
 pub use sessions::{Received, Session, SetAside};
+pub use source_hash::{recorded_hash, source_hash};
 pub use status::{Fault, RecorderStatus, Stopped};
 pub use sync_schedule::loss_bound_ms;
 pub use tags::{Readout, ReadoutError, losses, read_tags, read_topic};

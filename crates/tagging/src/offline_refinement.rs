@@ -4,8 +4,7 @@
 //! the result is written beside the recorded tags, which stay as they are.
 
 use std::collections::HashMap;
-use std::fs::{self, File};
-use std::io::BufWriter;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Matrix6, Vector6};
@@ -14,6 +13,7 @@ use thiserror::Error;
 use super::error::ReplayError;
 use super::open_input::{self, OpenLog};
 use super::perception_pool::decode_picture;
+use super::tag_log::{TagLogError, write_tag_log};
 use realitysim_geometry::field::SizeDerivative;
 use realitysim_geometry::{Field, FieldDimensions, FieldError, Isometry, Lens, LensError, LensParameters, Projector};
 use realitysim_localization::refinement::LinePoints;
@@ -28,8 +28,7 @@ use realitysim_recording::{
     Loss, REFINED_FOLDER, REFINED_INFO, REFINED_TAGS, Readout, ReadoutError, RecordingError, RefinedConstant,
     RefinedInfo, SESSION_FILE, SessionInfo, captures_within, read_info, read_tags, write_atomically,
 };
-use realitysim_ros2::messages::{FrameTag, Header, Message, Pose, PoseWithCovarianceStamped};
-use realitysim_ros2::{Durability, LogWriter, WriteError, topics};
+use realitysim_ros2::messages::{FrameTag, Pose};
 use realitysim_vision::{Observations, Picture};
 
 /// A capture with its refined tags.
@@ -86,7 +85,7 @@ pub enum RefineError {
     },
     /// The log of refined tags cannot be written.
     #[error(transparent)]
-    Write(#[from] WriteError),
+    Write(#[from] TagLogError),
 }
 
 /// Number of passes: lines are measured around the recorded tags first, then around the refined poses.
@@ -341,21 +340,7 @@ impl OfflineRefinement {
         };
         fs::create_dir_all(&folder).map_err(failed(&folder))?;
         let active = folder.join(format!("{REFINED_TAGS}.active"));
-        let file = File::create(&active).map_err(failed(&active))?;
-        let mut log = LogWriter::new(BufWriter::new(file))?;
-        let tags = log.add_channel::<FrameTag>(topics::FRAME_TAG, Durability::Volatile)?;
-        let poses = log.add_channel::<PoseWithCovarianceStamped>(topics::POSE, Durability::Volatile)?;
-        for (sequence, tag) in self.refined.iter().enumerate() {
-            let stamp_ns = tag.header.stamp.to_nanoseconds();
-            log.write(tags, sequence as u32, stamp_ns, stamp_ns, &tag.encode())?;
-            if tag.valid {
-                let pose =
-                    PoseWithCovarianceStamped { header: Header::at(stamp_ns, &tag.header.frame_id), pose: tag.pose };
-                log.write(poses, sequence as u32, stamp_ns, stamp_ns, &pose.encode())?;
-            }
-        }
-        let file = log.finish()?.into_inner().map_err(|error| failed(&active)(error.into_error()))?;
-        file.sync_all().map_err(failed(&active))?;
+        write_tag_log(&active, &self.refined)?;
         let path = folder.join(REFINED_TAGS);
         let info = serde_json::to_vec_pretty(&self.info()).map_err(|error| failed(&folder)(error.into()))?;
         // The tags of an earlier run are removed first: they must not stand beside the lens of this one.

@@ -8,7 +8,6 @@ use anyhow::Context;
 use image::RgbImage;
 
 use super::super::opened_database::OpenedDatabase;
-use super::super::output;
 use super::super::paths::{make_folder, write, write_bytes};
 use super::make::{Classes, Format, MakeArguments, Report};
 use super::png_form::{FOLDERS, PngForm, TableRows};
@@ -37,20 +36,23 @@ struct Labelled {
     preview: Option<RgbImage>,
 }
 
-/// Labels the images of a database.
-pub(super) fn label_all(arguments: &MakeArguments, opened: &OpenedDatabase) -> anyhow::Result<Report> {
+/// Labels the images of a database. `progress` gets the number of images done and of all.
+pub(super) fn label_all(
+    arguments: &MakeArguments,
+    opened: &OpenedDatabase,
+    progress: &mut dyn FnMut(u64, u64),
+) -> anyhow::Result<Report> {
     let MakeArguments { output: folder, max_sigma, .. } = arguments;
     let database = &opened.database;
     let (chosen, imprecise) = precise_records(database, *max_sigma)?;
     let job = Job::new(arguments, database)?;
     job.make_folders()?;
     let start = Instant::now();
-    let mut progress = output::Progress::new("labelling");
     let (mut done, mut unreadable) = (Vec::new(), Vec::new());
     let every = chosen.len().div_ceil(PREVIEWS).max(1);
     for (batch, part) in chosen.chunks(BATCH).enumerate() {
         let first = batch * BATCH;
-        progress.set(first as u64, Some(chosen.len() as u64));
+        progress(first as u64, chosen.len() as u64);
         let results = in_parallel(part.len(), |place| {
             let (number, record) = &part[place];
             job.label(first + place, *number, record, (first + place).is_multiple_of(every))
@@ -63,7 +65,7 @@ pub(super) fn label_all(arguments: &MakeArguments, opened: &OpenedDatabase) -> a
             }
         }
     }
-    progress.finish();
+    progress(chosen.len() as u64, chosen.len() as u64);
     let seconds = start.elapsed().as_secs_f64();
     anyhow::ensure!(
         !done.is_empty(),

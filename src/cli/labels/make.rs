@@ -1,6 +1,6 @@
 //! Command `realitysim labels`: makes annotations for the training of detectors out of tags.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -36,7 +36,7 @@ pub struct MakeArguments {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
-pub(super) enum Format {
+pub(in super::super) enum Format {
     Coco,
     Yolo,
     YoloSeg,
@@ -61,20 +61,39 @@ impl Classes {
 }
 
 #[derive(Serialize)]
-pub(super) struct Report {
-    pub(super) output: PathBuf,
-    pub(super) images: usize,
+pub(in super::super) struct Report {
+    pub(in super::super) output: PathBuf,
+    pub(in super::super) images: usize,
     /// Images whose place is not known well enough.
-    pub(super) imprecise: usize,
+    pub(in super::super) imprecise: usize,
     /// Number of landmarks that can be seen, over all images.
-    pub(super) visible_landmarks: usize,
+    pub(in super::super) visible_landmarks: usize,
     /// Median standard deviation of these, pixels.
-    pub(super) sigma_px: Option<f64>,
+    pub(in super::super) sigma_px: Option<f64>,
     /// Share of the pixels that are ignored.
-    pub(super) ignored_share: f64,
+    pub(in super::super) ignored_share: f64,
     /// Images a second, pictures and labels written.
     pub(super) images_per_s: f64,
-    pub(super) lost: Vec<Loss>,
+    pub(in super::super) lost: Vec<Loss>,
+}
+
+/// Labels a capture into a folder that is there, with all other arguments of the command as they are by default.
+pub(in super::super) fn label_capture(
+    capture: &Path,
+    folder: &Path,
+    format: Format,
+    progress: &mut dyn FnMut(u64),
+) -> anyhow::Result<Report> {
+    let max_sigma = TagLimits::default().sigma_m;
+    let (input, output) = (capture.to_owned(), folder.to_owned());
+    let arguments = MakeArguments { input, format, output, classes: None, max_sigma };
+    // Reading and labelling both take a look at each image.
+    let mut read = 0;
+    let opened = OpenedDatabase::read(capture, max_sigma, &mut |done| {
+        read = done;
+        progress(done);
+    })?;
+    dataset::label_all(&arguments, &opened, &mut |done, _| progress(read + done))
 }
 
 pub fn run(arguments: &MakeArguments, json: bool) -> anyhow::Result<Outcome> {
@@ -85,7 +104,12 @@ pub fn run(arguments: &MakeArguments, json: bool) -> anyhow::Result<Outcome> {
             UsageError("--classes is for --format yolo: the other forms have classes of their own".to_owned()).into()
         );
     }
-    let report = fill_own_folder(output, || dataset::label_all(arguments, &OpenedDatabase::of(input, *max_sigma)?))?;
+    let mut progress = output::Progress::new("labelling");
+    let report = fill_own_folder(output, || {
+        let opened = OpenedDatabase::of(input, *max_sigma)?;
+        dataset::label_all(arguments, &opened, &mut |done, all| progress.set(done, Some(all)))
+    })?;
+    progress.finish();
     output::losses(&report.lost);
     if json {
         output::json(&report)?;

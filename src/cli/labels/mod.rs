@@ -10,6 +10,7 @@ mod preview;
 mod propagate;
 mod yolo_set;
 
+pub(super) use make::{Format, label_capture};
 pub use of_view::label_view;
 
 use anyhow::Context;
