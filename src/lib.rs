@@ -1,7 +1,7 @@
 //! Reality Sim: real camera images for any pose on the field.
 //!
 //! This crate is the program: its commands ([`cli`]), the live recorder ([`live`]), the check of a robot's devices ([`doctor`]), the
-//! load test of the recorder ([`soak`]) and the playback to devices ([`playback`]). The libraries are crates of their own under
+//! load test of the recorder ([`soak`]), the playback to devices ([`playback`]) and messages for viewers ([`viewer_messages`]). The libraries are crates of their own under
 //! `crates/`; they are re-exported here under their short names.
 
 #[cfg(feature = "catalogue")]
@@ -29,3 +29,4 @@ pub mod doctor;
 pub mod live;
 pub mod playback;
 pub mod soak;
+pub mod viewer_messages;

@@ -4,6 +4,7 @@ mod architecture;
 mod config;
 mod dev;
 mod documents;
+mod features;
 mod fuzz;
 mod hardware;
 mod limits;

@@ -1,9 +1,13 @@
 //! Command `realitysim live`: watches a robot while it records, in a browser.
 
+#[cfg(feature = "live")]
+use std::net::Ipv4Addr;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+#[cfg(feature = "live")]
+use anyhow::Context;
 use clap::Args;
 
 use super::record::SOCKET;
@@ -14,6 +18,8 @@ use super::values::address;
 use super::{Outcome, output};
 use crate::cli::host_info::cores;
 use crate::config::Settings;
+#[cfg(feature = "live")]
+use crate::live::ViewerServer;
 use crate::live::{RemoteRecorder, RemoteSocket, Status, stop_flag};
 use crate::recording::sync::{SSH, Source};
 use crate::service::{ServeOptions, serve};
@@ -41,17 +47,28 @@ pub struct LiveArguments {
     /// A file with the token that clients must send
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
+    /// Show the same in Foxglove and Lichtblick: a port of this machine, or ADDRESS:PORT. Their protocol has no token: whoever reaches
+    /// the port sees the camera, and any page of this machine's browsers does; nobody can give orders there. Port 0 takes a free one, which is told
+    #[cfg(feature = "live")]
+    #[arg(long, value_name = "PORT", value_parser = port_or_address)]
+    foxglove: Option<SocketAddr>,
     /// The command that opens a shell on the robot
     #[arg(long, value_name = "COMMAND", default_value = SSH)]
     ssh: String,
 }
 
 pub fn run(arguments: &LiveArguments, json: bool) -> anyhow::Result<Outcome> {
-    let robot = RemoteRecorder::watch(remote_socket(arguments)?, describe)?;
+    let robot = Arc::new(RemoteRecorder::watch(remote_socket(arguments)?, describe)?);
+    #[cfg(feature = "live")]
+    let viewers = start_viewers(arguments.foxglove, &robot)?;
+    #[cfg(feature = "live")]
+    let viewers_at = viewers.as_ref().map(ViewerServer::address);
+    #[cfg(not(feature = "live"))]
+    let viewers_at = None;
     let options = ServeOptions {
         database: arguments.db.clone(),
         captures: captures_folder(arguments.captures.as_deref())?,
-        live: Some(Arc::new(robot)),
+        live: Some(robot),
         listen: arguments.listen,
         token: arguments.token_file.as_deref().map(token).transpose()?,
         threads: cores(),
@@ -61,8 +78,32 @@ pub fn run(arguments: &LiveArguments, json: bool) -> anyhow::Result<Outcome> {
         max_distance_m: FAR_M,
     };
     let (stop, words) = (stop_flag()?, format!("watching {}", arguments.robot));
-    serve(options, &stop, |address, images| tell_ready(address, images, &words, json), output::say)?;
+    serve(options, &stop, |address, images| tell_ready(address, images, &words, viewers_at, json), output::say)?;
     Ok(Outcome::Whole)
+}
+
+/// Serves Foxglove and Lichtblick, if they are to be served.
+#[cfg(feature = "live")]
+fn start_viewers(listen: Option<SocketAddr>, robot: &Arc<RemoteRecorder>) -> anyhow::Result<Option<ViewerServer>> {
+    let Some(listen) = listen else { return Ok(None) };
+    let image_topic = Settings::default().topics.image;
+    let server = ViewerServer::start(Arc::clone(robot), listen, &image_topic);
+    let server = server.with_context(|| format!("--foxglove {listen}"))?;
+    if !listen.ip().is_loopback() {
+        let address = server.address();
+        output::say(&format!("whoever reaches {address} sees the camera: Foxglove's protocol has no token"));
+    }
+    Ok(Some(server))
+}
+
+/// Accepts a port, which is one of this machine alone, or an address with its port.
+#[cfg(feature = "live")]
+fn port_or_address(text: &str) -> Result<SocketAddr, String> {
+    match text.parse() {
+        Ok(port) => Ok(SocketAddr::from((Ipv4Addr::LOCALHOST, port))),
+        Err(_) => address(text)
+            .map_err(|_| "a port is needed, as in 8766, or an address and a port, as in 0.0.0.0:8766".to_owned()),
+    }
 }
 
 /// Reads where the recorder's socket is: as for `sync`, and without a path the recorder's own.

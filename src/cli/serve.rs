@@ -85,21 +85,24 @@ pub fn run(arguments: &ServeArguments, json: bool) -> anyhow::Result<Outcome> {
     };
     let stop = stop_flag()?;
     let words = "serving views";
-    serve(options, &stop, |address, images| tell_ready(address, images, words, json), output::say)?;
+    serve(options, &stop, |address, images| tell_ready(address, images, words, None, json), output::say)?;
     Ok(Outcome::Whole)
 }
 
-/// Says where the service listens. A closed standard output does not stop it.
-pub(super) fn tell_ready(address: SocketAddr, images: usize, words: &str, json: bool) {
+/// Says where the service listens, and where Foxglove finds the same, if it does. A closed standard output does not stop it.
+pub(super) fn tell_ready(address: SocketAddr, images: usize, words: &str, viewers: Option<SocketAddr>, json: bool) {
     #[derive(Serialize)]
     struct Ready {
         listening: SocketAddr,
         images: usize,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        foxglove: Option<SocketAddr>,
     }
     let _ = if json {
-        output::json(&Ready { listening: address, images })
+        output::json(&Ready { listening: address, images, foxglove: viewers })
     } else {
-        output::lines(&format!("{words}, {images} images, on http://{address}: open it in a browser"))
+        let viewers = viewers.map_or(String::new(), |viewers| format!("\nFoxglove and Lichtblick: ws://{viewers}"));
+        output::lines(&format!("{words}, {images} images, on http://{address}: open it in a browser{viewers}"))
     };
 }
 

@@ -11,7 +11,10 @@ mod rates;
 mod remote;
 mod session_control;
 mod status;
+#[cfg(feature = "live")]
+mod viewer_server;
 mod watchdog;
+mod watched_frame;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,8 +26,11 @@ use thiserror::Error;
 
 pub use control::{ask, poses};
 pub use port_events::Port;
-pub use remote::{RemoteRecorder, RemoteSocket};
+pub use remote::{RemoteRecorder, RemoteSocket, WatchedRecorder};
 pub use status::{LastTag, RecorderState, Status};
+#[cfg(feature = "live")]
+pub use viewer_server::ViewerServer;
+pub use watched_frame::WatchedFrame;
 
 use crate::config::{ConfigError, Settings, load_lens};
 use crate::devices::host_clock::{monotonic_ns, utc_offset_ns};

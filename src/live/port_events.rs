@@ -9,6 +9,7 @@ use crate::devices::serial::{LineStatus, Trouble};
 
 /// State of one serial port; part of `realitysim recorder status`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Port {
     /// Why the port is not open, if it is not.
     pub closed: Option<String>,

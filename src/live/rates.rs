@@ -10,6 +10,7 @@ use crate::tagging::durations::Durations;
 
 /// Rates over the last second, from the session's counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Rates {
     pub captured_hz: f64,
     pub written_hz: f64,
@@ -18,6 +19,7 @@ pub struct Rates {
 
 /// Time from the decoded image to the tag, milliseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct BudgetUse {
     /// Configured budget; 0 without one.
     pub budget_ms: f64,
@@ -28,6 +30,7 @@ pub struct BudgetUse {
 
 /// Valid tags among the last `RECENT_FRAMES` frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Validity {
     pub frames: usize,
     pub valid: usize,
@@ -35,6 +38,7 @@ pub struct Validity {
 
 /// Effort of the particle filter over the same frames as [`Validity`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct FilterUse {
     /// Mean number of particles.
     pub particles: f64,

@@ -16,9 +16,7 @@ use serde_json::{Value, json};
 
 use super::Status;
 use super::control::{Answer, ControlClient, ask};
-use crate::evaluation::drawing::projected_lines;
-use crate::geometry::{Field, FieldDimensions, Isometry, Lens, LensParameters};
-use crate::ros2::messages::{Point, Pose, Quaternion};
+use super::watched_frame::WatchedFrame;
 use crate::service::LiveRobot;
 
 /// Where a recorder's control socket is.
@@ -47,6 +45,20 @@ struct Shared {
     stop: AtomicBool,
 }
 
+/// What is known of a watched recorder, for viewers.
+#[derive(Clone, Debug)]
+pub struct WatchedRecorder {
+    /// Its host.
+    pub robot: String,
+    pub connected: bool,
+    /// Why it is away, or why it has no frame; empty if all is well.
+    pub why: String,
+    /// Its status in words.
+    pub words: Vec<String>,
+    /// The latest frame.
+    pub frame: Option<Arc<WatchedFrame>>,
+}
+
 /// What was last seen of the recorder.
 #[derive(Debug, Default)]
 struct Seen {
@@ -56,12 +68,13 @@ struct Seen {
     why: String,
     status: Value,
     words: Vec<String>,
-    /// What the recorder says of its latest frame, and the frame's image.
+    /// The latest frame, and what the recorder says of it.
+    latest: Option<Arc<WatchedFrame>>,
     frame: Value,
-    picture: Vec<u8>,
+    /// Number of the latest frame that came, understood or not.
+    known: Option<u64>,
     /// Why there is no frame.
     no_frame: Option<String>,
-    came: Option<Instant>,
     /// When somebody last looked.
     looked: Option<Instant>,
 }
@@ -91,6 +104,18 @@ impl RemoteRecorder {
         let watcher = std::thread::Builder::new().name("watcher".to_owned()).spawn(move || own.watch())?;
         Ok(Self { shared, watcher: Some(watcher) })
     }
+
+    /// Returns what is known of the recorder. Frames are fetched while somebody looks.
+    pub fn watched(&self, somebody_looks: bool) -> WatchedRecorder {
+        let mut seen = self.shared.seen();
+        if somebody_looks {
+            seen.looked = Some(Instant::now());
+        }
+        let connected = seen.socket.is_some();
+        let why = if connected { seen.no_frame.clone().unwrap_or_default() } else { seen.why.clone() };
+        let (robot, words) = (self.shared.host().to_owned(), seen.words.clone());
+        WatchedRecorder { robot, connected, why, words, frame: seen.latest.clone() }
+    }
 }
 
 impl Drop for RemoteRecorder {
@@ -106,22 +131,21 @@ impl LiveRobot for RemoteRecorder {
     fn state(&self) -> Value {
         let mut seen = self.shared.seen();
         seen.looked = Some(Instant::now());
-        let host = self.shared.at.host.as_deref().unwrap_or("this machine");
         json!({
-            "robot": host,
+            "robot": self.shared.host(),
             "connected": seen.socket.is_some(),
             "why": seen.why,
             "status": seen.status,
             "words": seen.words,
             "frame": seen.frame,
             "no_frame": seen.no_frame,
-            "age_s": seen.came.map(|came| came.elapsed().as_secs_f64()),
+            "age_s": seen.latest.as_ref().map(|frame| frame.came.elapsed().as_secs_f64()),
         })
     }
 
     fn picture(&self) -> Option<Vec<u8>> {
-        let seen = self.shared.seen();
-        (!seen.picture.is_empty()).then(|| seen.picture.clone())
+        let frame = self.shared.seen().latest.clone()?;
+        (!frame.picture.is_empty()).then(|| frame.picture.to_vec())
     }
 
     fn order(&self, order: &str) -> Result<Value, String> {
@@ -138,6 +162,10 @@ impl LiveRobot for RemoteRecorder {
 impl Shared {
     fn seen(&self) -> MutexGuard<'_, Seen> {
         self.seen.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn host(&self) -> &str {
+        self.at.host.as_deref().unwrap_or("this machine")
     }
 
     fn has_ended(&self) -> bool {
@@ -226,7 +254,7 @@ impl Shared {
 
     /// The question for a frame that is not the one that is known already.
     fn frame_order(&self) -> String {
-        match self.seen().frame["tag"]["sequence"].as_u64() {
+        match self.seen().known {
             Some(sequence) => format!("frame {sequence}"),
             None => "frame".to_owned(),
         }
@@ -260,38 +288,27 @@ impl Shared {
 
     fn take_frame(&self, answer: Answer) {
         let Answer { mut line, bytes } = answer;
-        let error = line["error"].as_str().map(|error| match error.contains("expected status") {
-            true => "the recorder on the robot is older and sends no pictures: update it".to_owned(),
-            false => error.to_owned(),
-        });
-        let is_new = error.is_none() && line["unchanged"] != true;
-        if is_new {
-            line["lines"] = lines(&line);
+        if line["unchanged"] == true {
+            return;
         }
+        if let Some(error) = line["error"].as_str() {
+            self.seen().no_frame = Some(match error.contains("expected status") {
+                true => "the recorder on the robot is older and sends no pictures: update it".to_owned(),
+                false => error.to_owned(),
+            });
+            return;
+        }
+        let latest = WatchedFrame::read(&line, bytes);
         let mut seen = self.seen();
-        if is_new {
-            (seen.frame, seen.picture, seen.came) = (line, bytes, Some(Instant::now()));
-        }
-        seen.no_frame = error;
+        seen.known = line["tag"]["sequence"].as_u64();
+        let Some(latest) = latest else {
+            let strange = "the recorder on the robot is of another version: its frames are not understood";
+            seen.no_frame = Some(strange.to_owned());
+            return;
+        };
+        line["lines"] = latest.lines();
+        (seen.frame, seen.latest, seen.no_frame) = (line, Some(Arc::new(latest)), None);
     }
-}
-
-/// The lines of the field where the tag of a frame puts them, pixels from the corner of the image.
-fn lines(line: &Value) -> Value {
-    let read = || {
-        let field: FieldDimensions = serde_json::from_value(line["field"].clone()).ok()?;
-        let lens: LensParameters = serde_json::from_value(line["lens"].clone()).ok()?;
-        let pose = &line["tag"]["pose"]["pose"];
-        let number = |part: &str, axis: &str| pose[part][axis].as_f64();
-        let position = Point { x: number("position", "x")?, y: number("position", "y")?, z: number("position", "z")? };
-        let [x, y, z, w] = ["x", "y", "z", "w"].map(|axis| number("orientation", axis));
-        let pose = Pose { position, orientation: Quaternion { x: x?, y: y?, z: z?, w: w? } };
-        Some(projected_lines(&Lens::new(lens).ok()?, &Isometry::from(pose), &Field::new(field).ok()?))
-    };
-    let tenth = |value: f64| (10.0 * value).round() / 10.0;
-    let lines = read().unwrap_or_default();
-    let lines = lines.iter().map(|line| line.iter().map(|point| [tenth(point.x), tenth(point.y)]).collect());
-    json!(lines.collect::<Vec<Vec<[f64; 2]>>>())
 }
 
 /// A socket that can be asked, as long as this is held.

@@ -16,7 +16,8 @@ use crate::sync::site::Site;
 
 /// The program as a watcher; ends with the test.
 pub struct Watch {
-    address: SocketAddr,
+    /// What it said when it was ready.
+    ready: Value,
     process: Child,
 }
 
@@ -28,13 +29,17 @@ impl Watch {
         let mut line = String::new();
         BufReader::new(process.stdout.take().expect("piped")).read_line(&mut line).expect("a line");
         let ready: Value = serde_json::from_str(&line).expect("where it listens");
-        Self { address: ready["listening"].as_str().and_then(|text| text.parse().ok()).expect("an address"), process }
+        Self { ready, process }
+    }
+
+    pub fn address(&self) -> SocketAddr {
+        self.ready["listening"].as_str().and_then(|text| text.parse().ok()).expect("an address")
     }
 
     pub fn waits_for(&self, what: &str, is: impl Fn(&Value) -> bool) -> Value {
         let began = Instant::now();
         loop {
-            let state = get(self.address, "/v1/live").json();
+            let state = get(self.address(), "/v1/live").json();
             if is(&state) {
                 return state;
             }
@@ -43,8 +48,18 @@ impl Watch {
         }
     }
 
+    #[cfg(feature = "live")]
+    pub fn foxglove(&self) -> SocketAddr {
+        self.ready["foxglove"].as_str().and_then(|text| text.parse().ok()).expect("an address")
+    }
+
+    #[cfg(feature = "live")]
+    pub fn ready(&self) -> &Value {
+        &self.ready
+    }
+
     fn order(&self, order: &str) -> (u16, Value) {
-        let answer = post(self.address, "/v1/live/order", &serde_json::json!({ "order": order }).to_string());
+        let answer = post(self.address(), "/v1/live/order", &serde_json::json!({ "order": order }).to_string());
         (answer.status, answer.json())
     }
 }
@@ -67,7 +82,7 @@ fn a_watched_robot_shows_its_frames_with_lines_and_takes_orders() {
     assert_eq!((&state["connected"], &state["frame"]["lens"]["width"]), (&true.into(), &320.into()), "{state}");
     assert!(state["frame"]["lines"].as_array().is_some_and(|lines| lines.len() > 3), "{state}");
     assert!(state["words"].as_array().is_some_and(|words| words.len() > 3), "{state}");
-    let picture = get(watch.address, "/v1/live/frame");
+    let picture = get(watch.address(), "/v1/live/frame");
     assert!(picture.status == 200 && picture.body.starts_with(&[0xff, 0xd8]), "{}", picture.status);
     assert_eq!(watch.order("mark goal kick"), (200, serde_json::json!({ "marked": "goal kick" })));
     assert_eq!(watch.order("place 100,0,0").0, 409, "off the field");
@@ -92,11 +107,11 @@ fn a_robot_that_goes_away_and_comes_back_is_watched_again() {
     let away = watch.waits_for("it is away", |state| state["connected"] == false);
     assert!(away["why"].as_str().is_some_and(|why| why.contains("no recorder answers at control.sock")), "{away}");
     assert_eq!(watch.order("start").0, 409);
-    assert_eq!(get(watch.address, "/").status, 200, "the page stays");
+    assert_eq!(get(watch.address(), "/").status, 200, "the page stays");
     recorder.process = Some(Recorder::process(&recorder.room, "-2.06,0.153,14.5"));
     watch.waits_for("it is back", |state| state["connected"] == true);
-    assert_eq!(get(watch.address, "/v1/view?x=0&y=0&z=0.5&yaw_deg=0").status, 404, "no database is served");
-    assert_eq!(get(watch.address, "/v1/info").json()["field"], Value::Null);
+    assert_eq!(get(watch.address(), "/v1/view?x=0&y=0&z=0.5&yaw_deg=0").status, 404, "no database is served");
+    assert_eq!(get(watch.address(), "/v1/info").json()["field"], Value::Null);
     assert!(recorder.ends().status.success());
 }
 

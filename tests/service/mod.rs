@@ -7,6 +7,8 @@ mod openapi;
 mod page;
 mod python;
 mod requests;
+mod thin_link;
+mod view_rate;
 
 use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
@@ -77,8 +79,11 @@ impl Served {
         Self { room, address, child }
     }
 
-    pub fn id(&self) -> u32 {
-        self.child.id()
+    /// The most memory that it has had, kB.
+    pub fn peak_kb(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("running");
+        let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("its peak");
+        peak.trim().trim_end_matches(" kB").parse().expect("kilobytes")
     }
 
     pub fn is_running(&mut self) -> bool {

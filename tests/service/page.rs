@@ -26,7 +26,7 @@ fn the_page_is_whole_and_loads_nothing_from_elsewhere() {
     let text = document.text();
     let named: Vec<&str> = text.split('"').filter(|part| part.starts_with("/page/")).collect();
     assert!(named.len() > 2, "{named:?}");
-    for path in named.into_iter().chain(["/page/walk.js", "/page/captures.js"]) {
+    for path in named.into_iter().chain(["/page/walk.js", "/page/captures.js", "/page/link.js"]) {
         let file = get(served.address, path);
         assert_eq!((file.status, file.header("x-content-type-options")), (200, "nosniff"), "{path}");
         assert!(file.body.len() > 100, "{path}");
@@ -244,4 +244,25 @@ fn a_browser_shows_a_view_and_a_capture() {
     }
     let valid = format!("of {} tags are valid", walk().frames());
     browsed(&address, &format!("#captures?capture={name}&frame=3"), &[&valid, "data-frame=\"3\""]);
+}
+
+#[test]
+fn a_capture_without_tags_is_listed_and_shown_empty() {
+    let room = Room::with_walk();
+    let replayed = room.replay("log.mcap");
+    let name = session_name(&replayed).rsplit('/').next().expect("a name").to_owned();
+    let mut messages = read_capture(&replayed.session);
+    messages.retain(|message| message.channel.topic != TAG);
+    fs::write(replayed.session.join("0000.mcap"), own_log(&messages)).expect("written");
+    add_images(&room, "images", &super::PLACES);
+    let served = Served::of(room, "--captures captures");
+    assert_eq!(get(served.address, "/v1/captures").json()["sessions"][0]["name"], name.as_str());
+    let capture = get(served.address, &format!("/v1/capture?capture={name}"));
+    assert_eq!((capture.status, capture.json()["t_s"].as_array().map(Vec::len)), (200, Some(0)));
+    for path in ["/v1/frame", "/v1/tag", "/v1/explain"] {
+        let none = get(served.address, &format!("{path}?capture={name}&frame=0"));
+        assert_eq!(none.status, 404, "{path}: {}", none.text());
+    }
+    let words = ["This capture has no tags"];
+    browsed(&served.address.to_string(), &format!("#captures?capture={name}"), &words);
 }

@@ -1,6 +1,7 @@
 //! What a client asks for is what it gets.
 
 use std::fs;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::client::{get, get_with, parts, post};
@@ -194,6 +195,28 @@ fn images_that_are_added_while_it_serves_are_served() {
     }
     assert_eq!(get(served.address, there).status, 200, "the old one goes on");
     fs::write(&file, good).expect("written");
+}
+
+#[test]
+fn views_are_whole_while_images_are_added_again_and_again() {
+    let served = Served::new("");
+    let is_over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let walker = scope.spawn(|| {
+            let mut views = 0;
+            while !is_over.load(Ordering::Relaxed) || views == 0 {
+                let answer = get(served.address, HERE);
+                assert_eq!(answer.status, 200, "{}", answer.text());
+                image::load_from_memory(&answer.body).expect("a whole picture");
+                views += 1;
+            }
+        });
+        for round in 0..4 {
+            add_images(&served.room, &format!("more{round}"), &[(0.2 + 0.01 * f64::from(round), 0.2, 10.0)]);
+        }
+        is_over.store(true, Ordering::Relaxed);
+        walker.join().expect("every view was whole");
+    });
 }
 
 #[test]

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// State of a recorder at one moment.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct RecorderStatus {
     /// Folder of the session. It is not serialized: `status` shows it in a place of its own.
     #[serde(skip)]

@@ -4,16 +4,15 @@ import { ask, pause } from './api.js';
 import { readArrays } from './arrays.js';
 import { toQuery } from './pose.js';
 
-/** Requests of one picture under way at once: while one is on its way back, the next is made. */
-const UNDER_WAY = 2;
 /** Time between two changes of the words below a picture. */
 const CAPTION_MS = 150;
 const MASK = { nothing: 0, unsure: 128 };
 
 /** A picture that follows the pose: the newest answer is shown, and what came too late is dropped. */
 export class ViewLoop {
-  constructor(method, figure, state, tab) {
-    Object.assign(this, { method, figure, state, tab });
+  constructor(method, figure, state, tab, link) {
+    Object.assign(this, { method, figure, state, tab, link });
+    link.loops.push(this);
     this.canvas = figure.querySelector('canvas');
     this.caption = figure.querySelector('figcaption');
     this.wanted = null;
@@ -26,7 +25,7 @@ export class ViewLoop {
 
   want() {
     const { state } = this;
-    this.wanted = { ...toQuery(state.pose), method: this.method, width: state.size, outside: 'warn', quality: 85 };
+    this.wanted = { ...toQuery(state.pose), method: this.method, width: state.size, outside: 'warn' };
     if (state.lens) this.wanted.lens = state.lens;
     if (state.depth) this.wanted.layers = 'image,depth,mask';
     else if (state.mask) this.wanted.mask = 'alpha';
@@ -34,22 +33,22 @@ export class ViewLoop {
   }
 
   next() {
-    if (!this.wanted || this.underWay >= UNDER_WAY || this.figure.hidden || !this.tab.isActive()) return;
+    if (!this.wanted || this.figure.hidden || !this.tab.isActive() || !this.link.admits(this)) return;
     const query = this.wanted;
     this.wanted = null;
     const number = ++this.asked;
-    this.underWay += 1;
-    this.load(query, number).finally(() => {
-      this.underWay -= 1;
-      this.next();
-    });
+    this.link.began(this);
+    this.load(query, number).finally(() => this.link.ended(this));
   }
 
   async load(query, number) {
     const accept = query.layers ? 'application/zip' : query.mask ? 'application/octet-stream' : 'image/jpeg';
+    const asked = performance.now();
     try {
-      const answer = await ask(`/v1/view?${new URLSearchParams(query)}`, { accept });
-      const picture = await (query.layers ? deep(answer, this.state.mask) : query.mask ? masked(answer) : answer.blob().then(createImageBitmap));
+      const answer = await ask(`/v1/view?${new URLSearchParams(this.link.fit(query))}`, { accept });
+      const body = await answer.arrayBuffer();
+      this.link.took((performance.now() - asked - madeIn(answer.headers)) / 1000);
+      const picture = await pictureOf(query, body, answer.headers, this.state.mask);
       if (number > this.drawn) this.draw(picture, answer.headers, number);
     } catch (error) {
       await this.fail(error, query);
@@ -86,12 +85,13 @@ export class ViewLoop {
 
   words(headers) {
     const percent = (name) => `${Math.round(100 * Number(headers.get(name)))} %`;
-    const made = /view;dur=([0-9.]+)/.exec(headers.get('server-timing') ?? '');
+    const made = madeIn(headers);
     const words = [{ exact: '', paper: 'the paper: ', nearest: 'nearest image: ' }[this.method] + headers.get('realitysim-made')];
     words.push(`shows ${percent('realitysim-valid-share')}, ${percent('realitysim-sure-share')} of known geometry`);
     const error = headers.get('realitysim-expected-error-px');
     if (this.state.error && this.method === 'exact') words.push(error ? `expected error ${Number(error).toFixed(1)} px` : 'error unknown');
-    if (made) words.push(`made in ${Number(made[1]).toFixed(1)} ms`);
+    if (made) words.push(`made in ${made.toFixed(1)} ms`);
+    if (this.link.isThin) words.push('thin link: smaller pictures');
     if (this.times.length > 2) words.push(`${this.rate()} views/s`);
     return words.join(' · ');
   }
@@ -112,10 +112,21 @@ export class ViewLoop {
   }
 }
 
+/** Time that the service took to make a view, milliseconds; 0 if it does not say. */
+function madeIn(headers) {
+  return Number(/view;dur=([0-9.]+)/.exec(headers.get('server-timing') ?? '')?.[1] ?? 0);
+}
+
+/** What is drawn of an answer's bytes. */
+function pictureOf(query, body, headers, showsMask) {
+  if (query.layers) return deep(body, showsMask);
+  return query.mask ? masked(body, headers) : createImageBitmap(new Blob([body], { type: 'image/jpeg' }));
+}
+
 /** A view whose fourth channel is the mask. */
-async function masked(answer) {
-  const [width, height] = ['realitysim-width', 'realitysim-height'].map((name) => Number(answer.headers.get(name)));
-  const pixels = new Uint8ClampedArray(await answer.arrayBuffer());
+function masked(body, headers) {
+  const [width, height] = ['realitysim-width', 'realitysim-height'].map((name) => Number(headers.get(name)));
+  const pixels = new Uint8ClampedArray(body);
   for (let i = 0; i < pixels.length; i += 4) {
     markMask(pixels, i, pixels[i + 3]);
     pixels[i + 3] = 255;
@@ -130,8 +141,8 @@ function markMask(pixels, i, mask) {
 }
 
 /** A view tinted by its depth, with the mask if that is shown too; depth that is not known stays untinted. */
-async function deep(answer, showsMask) {
-  const { image, depth, mask } = readArrays(await answer.arrayBuffer());
+function deep(body, showsMask) {
+  const { image, depth, mask } = readArrays(body);
   const [height, width] = depth.shape;
   const pixels = new Uint8ClampedArray(4 * width * height);
   for (let at = 0, i = 0; at < depth.values.length; at++, i += 4) {

@@ -2,6 +2,7 @@
 
 import { askJson, say } from './api.js';
 import { FieldMap, arrowTip } from './field.js';
+import { Link } from './link.js';
 import { NAMES, START, bounded, fromParameters, rounded, stepped, toParameters } from './pose.js';
 import { ViewLoop } from './views.js';
 
@@ -291,7 +292,8 @@ export function start(info, keep) {
   if (!info.field) return;
   map.setField(info.field);
   for (const name of Object.keys(info.lenses)) at('lens').append(new Option(name, name));
-  for (const method of ['exact', 'paper', 'nearest']) loops[method] = new ViewLoop(method, at(`figure-${method}`), state, tab);
+  const link = new Link();
+  for (const method of ['exact', 'paper', 'nearest']) loops[method] = new ViewLoop(method, at(`figure-${method}`), state, tab, link);
   dragOnMap(at('walk-map'));
   for (const loop of Object.values(loops)) dragOnView(loop.canvas);
   keys();

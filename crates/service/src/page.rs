@@ -27,7 +27,7 @@ macro_rules! file {
 }
 
 /// The files of the page.
-const FILES: [PageFile; 14] = [
+const FILES: [PageFile; 15] = [
     file!("/", "index.html", HTML),
     file!("/page/style.css", "style.css", STYLE),
     file!("/page/icon.svg", "icon.svg", PICTURE),
@@ -37,6 +37,7 @@ const FILES: [PageFile; 14] = [
     file!("/page/arrays.js", "arrays.js", SCRIPT),
     file!("/page/pose.js", "pose.js", SCRIPT),
     file!("/page/walk.js", "walk.js", SCRIPT),
+    file!("/page/link.js", "link.js", SCRIPT),
     file!("/page/views.js", "views.js", SCRIPT),
     file!("/page/evidence.js", "evidence.js", SCRIPT),
     file!("/page/captures.js", "captures.js", SCRIPT),

@@ -1,44 +1,26 @@
 //! A log for 3D viewers: the images at the tagged camera, the field's lines as markers, and the lines of each tag over its image.
 
-use core::f64::consts::{FRAC_PI_2, TAU};
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
 use anyhow::Context;
-use glam::DVec2;
 use serde_json::{Value, json};
 
 use super::super::paths::{cannot_write, write};
 use super::frames::{each_frame, image_topic, own_folder};
 use super::overlays::session_info;
-use crate::evaluation::drawing::projected_lines;
-use crate::geometry::field::Stroke;
-use crate::geometry::{Field, Isometry, Lens};
+use crate::geometry::{Field, Lens};
 use crate::log_input::log::{self, LogSource};
-use crate::recording::{Loss, camera_transforms};
+use crate::recording::Loss;
 use crate::ros2::mcap_read::{Channel, LogMessage, Selection};
 use crate::ros2::mcap_write::{ChannelId, Durability, LogWriter};
-use crate::ros2::messages::{
-    CameraInfo, Color, ColorRGBA, CompressedImage, FrameTag, Header, Image, ImageAnnotations, Marker, MarkerArray,
-    Message, Point, Point2, PointsAnnotation, PoseWithCovarianceStamped, TextAnnotation, Vector3,
-};
+use crate::ros2::messages::{CompressedImage, FrameTag, Header, Image, Message};
 use crate::ros2::topics;
-
-/// Topic of the field's lines as markers.
-const FIELD_LINES: &str = "/field/lines";
-/// Topic of the lines over the images.
-const IMAGE_LINES: &str = "/camera/lines";
-/// Topic of the lens as the exported images have it.
-const CAMERA_INFO: &str = "/camera/tagged_info";
-/// Pieces of a circle: each of them is off by less than a thousandth of the radius.
-const PIECES: u32 = 72;
-const VALID: Color = Color { r: 0.9, g: 0.12, b: 0.24, a: 0.9 };
-const INVALID: Color = Color { r: 1.0, g: 0.67, b: 0.0, a: 0.9 };
-const NO_COLOR: Color = Color { r: 0.0, g: 0.0, b: 0.0, a: 0.0 };
-/// Size of the words over an image, pixels.
-const FONT_PX: f64 = 16.0;
+use crate::viewer_messages::{
+    CAMERA_INFO, FIELD_LINES, IMAGE_LINES, MessageSink, at_tagged_camera, field_markers, put_tag,
+};
 
 /// Writes `walk.mcap` and `layout.json` into a folder. Returns the number of frames, and what was lost.
 pub(super) fn foxglove(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(usize, Vec<Loss>)> {
@@ -52,20 +34,11 @@ pub(super) fn foxglove(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyh
     let map = &info.settings.frames.map;
     log.pass_other_messages(capture, &topic, tags, &field, map)?;
     let done = each_frame(capture, tags, &mut |tag, message| {
-        let Some(image) = at_tagged_camera(message) else {
+        let Some(image) = image_at_tagged_camera(message) else {
             return Ok(Err("it is no image message".to_owned()));
         };
-        let (time, header) = (message.log_time_ns, &tag.header);
-        let optical = Header { frame_id: topics::TAGGED_OPTICAL.to_owned(), ..header.clone() };
-        log.raw(&message.channel, time, &image)?;
-        log.put(CAMERA_INFO, time, &CameraInfo::of_lens(lens.parameters(), optical))?;
-        log.put(IMAGE_LINES, time, &annotations(tag, &lens, &field))?;
-        if tag.valid {
-            let header = Header { frame_id: map.clone(), ..header.clone() };
-            log.put(topics::CAMERA_TF, time, &camera_transforms(&header, tag))?;
-            log.put(topics::POSE, time, &PoseWithCovarianceStamped { header, pose: tag.pose })?;
-        }
-        log.put(topics::FRAME_TAG, time, tag)?;
+        log.raw(&message.channel, message.log_time_ns, &image)?;
+        put_tag(&mut log, message.log_time_ns, tag, &lens, &field)?;
         Ok(Ok(()))
     });
     log.log.finish().with_context(|| path.display().to_string())?;
@@ -104,15 +77,6 @@ impl ViewerLog {
         Ok(())
     }
 
-    fn put<M: Message>(&mut self, topic: &str, time_ns: i64, message: &M) -> anyhow::Result<()> {
-        let id = match self.channels.get(topic) {
-            Some(id) => *id,
-            None => self.log.add_channel::<M>(topic, Durability::Volatile)?,
-        };
-        self.channels.insert(topic.to_owned(), id);
-        Ok(self.log.write(id, 0, time_ns, time_ns, &message.encode())?)
-    }
-
     fn raw(&mut self, channel: &Channel, time_ns: i64, data: &[u8]) -> anyhow::Result<()> {
         let id = match self.channels.get(&channel.topic) {
             Some(id) => *id,
@@ -123,79 +87,31 @@ impl ViewerLog {
     }
 }
 
+impl MessageSink for ViewerLog {
+    fn put<M: Message>(&mut self, topic: &str, time_ns: i64, message: &M) -> anyhow::Result<()> {
+        let id = match self.channels.get(topic) {
+            Some(id) => *id,
+            None => self.log.add_channel::<M>(topic, Durability::Volatile)?,
+        };
+        self.channels.insert(topic.to_owned(), id);
+        Ok(self.log.write(id, 0, time_ns, time_ns, &message.encode())?)
+    }
+}
+
 /// The message of an image, with the tagged camera as its coordinate frame; `None` for other types.
-fn at_tagged_camera(message: &LogMessage) -> Option<Vec<u8>> {
-    let frame_id = topics::TAGGED_OPTICAL.to_owned();
+fn image_at_tagged_camera(message: &LogMessage) -> Option<Vec<u8>> {
     match message.channel.type_name.as_str() {
         CompressedImage::TYPE => {
             let mut image = CompressedImage::decode(&message.data).ok()?;
-            image.header.frame_id = frame_id;
+            image.header = at_tagged_camera(&image.header);
             Some(image.encode())
         }
         Image::TYPE => {
             let mut image = Image::decode(&message.data).ok()?;
-            image.header.frame_id = frame_id;
+            image.header = at_tagged_camera(&image.header);
             Some(image.encode())
         }
         _ => None,
-    }
-}
-
-/// The lines of a tag over its image, orange if it is invalid, and then why.
-fn annotations(tag: &FrameTag, lens: &Lens, field: &Field) -> ImageAnnotations {
-    let timestamp = tag.header.stamp;
-    let color = if tag.valid { VALID } else { INVALID };
-    let point = |at: DVec2| Point2 { x: at.x, y: at.y };
-    let strip = |line: Vec<DVec2>| PointsAnnotation {
-        timestamp,
-        kind: PointsAnnotation::LINE_STRIP,
-        points: line.into_iter().map(point).collect(),
-        outline_color: color,
-        thickness: 1.0,
-        ..PointsAnnotation::default()
-    };
-    let words = TextAnnotation {
-        timestamp,
-        position: Point2 { x: 4.0, y: FONT_PX + 4.0 },
-        text: if tag.valid { format!("sigma {:.1} cm", 100.0 * tag.pose.sigma_xy_m()) } else { tag.reason.clone() },
-        font_size: FONT_PX,
-        text_color: color,
-        background_color: NO_COLOR,
-    };
-    let points = projected_lines(lens, &Isometry::from(tag.pose.pose), field).into_iter().map(strip).collect();
-    ImageAnnotations { circles: Vec::new(), points, texts: vec![words] }
-}
-
-/// The painted lines of the field as one marker: a list of lines as wide as the paint.
-fn field_markers(field: &Field, header: Header) -> MarkerArray {
-    let point = |at: DVec2| Point { x: at.x, y: at.y, z: 0.0 };
-    let lines = field.painted_strokes();
-    let points = lines.iter().flat_map(pieces).flatten().map(point).collect();
-    let marker = Marker {
-        header,
-        ns: "field".to_owned(),
-        kind: Marker::LINE_LIST,
-        scale: Vector3 { x: field.line_width(), ..Vector3::default() },
-        color: ColorRGBA { r: 1.0, g: 1.0, b: 1.0, a: 1.0 },
-        points,
-        ..Marker::default()
-    };
-    MarkerArray { markers: vec![marker] }
-}
-
-/// Straight pieces of a painted line, metres.
-fn pieces(stroke: &Stroke) -> Vec<[DVec2; 2]> {
-    let round = |centre: DVec2, radius: f64, side: DVec2, turn: f64| {
-        let at = |piece: u32| {
-            let angle = turn * f64::from(piece) / f64::from(PIECES);
-            centre + radius * side * DVec2::new(libm::cos(angle), libm::sin(angle))
-        };
-        (0..PIECES).map(|piece| [at(piece), at(piece + 1)]).collect()
-    };
-    match *stroke {
-        Stroke::Segment { from, to } => vec![[from, to]],
-        Stroke::Circle { centre, radius } => round(centre, radius, DVec2::ONE, TAU),
-        Stroke::Quarter { centre, radius, side } => round(centre, radius, side, FRAC_PI_2),
     }
 }
 

@@ -20,6 +20,7 @@ pub(super) struct Frame<'a> {
 
 /// Counts of the bytes and frames of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct FrameCounts {
     /// Bytes that came.
     pub bytes: u64,

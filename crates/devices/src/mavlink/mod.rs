@@ -51,6 +51,7 @@ pub struct Received {
 
 /// Counts of what a port has carried so far.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct PortCounts {
     /// Counts of bytes and frames.
     #[serde(flatten)]

@@ -32,6 +32,7 @@ pub struct Pose {
 
 /// State of a line, for people and logs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct LineStatus {
     /// What the port has carried so far.
     #[serde(flatten)]

@@ -1,6 +1,6 @@
 //! The message `realitysim_msgs/FrameTag`.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::geometry::{Pose, PoseWithCovariance};
 use super::message;
@@ -9,7 +9,10 @@ use crate::cdr::wire_struct;
 
 wire_struct! {
     /// `realitysim_msgs/FrameTag`: the pose of the camera at the exposure of a frame, and what is known about it.
-    #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+    ///
+    /// Read from JSON, what is missing has its default: another version may say less.
+    #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+    #[serde(default)]
     pub struct FrameTag {
         /// `stamp` is the time of the exposure, `frame_id` is `map`.
         pub header: Header,

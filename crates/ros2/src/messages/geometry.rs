@@ -1,6 +1,6 @@
 //! Messages of `geometry_msgs`, `tf2_msgs` and `nav_msgs`.
 
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
 use super::message;
 use super::time::Header;
@@ -9,7 +9,7 @@ use realitysim_geometry::longest_axis;
 
 wire_struct! {
     /// `geometry_msgs/Point`: a position, metres.
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
     pub struct Point {
         /// X, metres.
         pub x: f64,
@@ -35,7 +35,7 @@ wire_struct! {
 
 wire_struct! {
     /// `geometry_msgs/Quaternion`: a rotation, w + x i + y j + z k.
-    #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
     pub struct Quaternion {
         /// Coefficient of i.
         pub x: f64,
@@ -50,7 +50,7 @@ wire_struct! {
 
 wire_struct! {
     /// `geometry_msgs/Pose`: position and attitude.
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
     pub struct Pose {
         /// Position, metres.
         pub position: Point,
@@ -72,12 +72,12 @@ wire_struct! {
 
 wire_struct! {
     /// `geometry_msgs/PoseWithCovariance`: a pose and its uncertainty.
-    #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
     pub struct PoseWithCovariance {
         /// The most probable pose.
         pub pose: Pose,
         /// Covariance, 6 x 6, row by row, of x, y, z (metres) and the rotations about the fixed axes x, y, z (radians).
-        #[serde(serialize_with = "as_slice")]
+        #[serde(serialize_with = "as_slice", deserialize_with = "from_slice")]
         pub covariance: [f64; 36],
     }
 }
@@ -238,4 +238,11 @@ impl Default for TwistWithCovariance {
 /// Serializes the array as a slice, because serde implements arrays only up to 32 elements.
 fn as_slice<S: Serializer>(values: &[f64; 36], serializer: S) -> Result<S::Ok, S::Error> {
     values.as_slice().serialize(serializer)
+}
+
+/// Reads what [`as_slice`] has written.
+fn from_slice<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 36], D::Error> {
+    let values = Vec::<f64>::deserialize(deserializer)?;
+    let length = |values: Vec<f64>| D::Error::invalid_length(values.len(), &"the 36 numbers of a covariance");
+    values.try_into().map_err(length)
 }

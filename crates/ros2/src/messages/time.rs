@@ -1,6 +1,6 @@
 //! The messages `builtin_interfaces/Time` and `std_msgs/Header`.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::cdr::wire_struct;
 
@@ -8,7 +8,7 @@ const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
 
 wire_struct! {
     /// `builtin_interfaces/Time`: time since the epoch of the clock that stamps the log.
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
     pub struct Stamp {
         /// Seconds, rounded down.
         pub sec: i32,
@@ -19,7 +19,7 @@ wire_struct! {
 
 wire_struct! {
     /// `std_msgs/Header`: time and coordinate frame of the data of a message.
-    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+    #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
     pub struct Header {
         /// Time at which the data was taken, not logged.
         pub stamp: Stamp,
