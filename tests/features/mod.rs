@@ -2,3 +2,5 @@
 
 #[cfg(feature = "live")]
 mod live;
+#[cfg(feature = "query")]
+mod query;

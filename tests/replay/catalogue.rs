@@ -13,7 +13,7 @@ use super::support::{CAPTURES, IMAGE, Replayed, Room, on, read_capture, session_
 const INTERPRETER: &str = "REALITYSIM_PYTHON";
 
 /// The standard walk as a capture and in a catalogue `catalogue`.
-fn catalogued() -> (Room, Replayed) {
+pub fn catalogued() -> (Room, Replayed) {
     let room = Room::with_walk();
     let replayed = room.replay("log.mcap");
     room.run(&format!("catalogue rebuild {CAPTURES} -o catalogue")).succeeds();
@@ -28,7 +28,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-fn only_file(room: &Room) -> PathBuf {
+pub fn only_file(room: &Room) -> PathBuf {
     let files = files(&room.path("catalogue"));
     assert_eq!(files.len(), 1, "{files:?}");
     files[0].clone()
@@ -110,34 +110,14 @@ fn the_documented_queries_have_their_answers() {
     ask_documented_queries(&[]);
 }
 
-#[cfg(feature = "query")]
-#[test]
-fn a_query_has_the_answer_of_duckdb() {
-    ask_documented_queries(&[env!("CARGO_BIN_EXE_realitysim")]);
-}
-
 #[cfg(not(feature = "query"))]
 #[test]
 fn a_program_that_answers_no_query_says_which_one_does() {
     Room::new().run_words(&["catalogue", "query", "catalogue", "select 1"], &[]).fails(2, &["--features query"]);
 }
 
-#[cfg(feature = "query")]
-#[test]
-fn a_query_that_cannot_be_asked_is_a_wrong_call() {
-    let (room, _) = catalogued();
-    let ask = |folder: &str, sql: &str| room.run_words(&["catalogue", "query", folder, sql], &[]);
-    let table = ask("catalogue", "select count(*) as frames from frames").succeeds().stdout;
-    assert!(table.contains("| frames |"), "{table}");
-    ask("catalogue", "select nothing from frames").fails(2, &["nothing", "the table is frames"]);
-    ask("catalogue", "drop table frames").fails(2, &["the table is frames"]);
-    ask("none", "select 1").fails(1, &["none"]);
-    fs::write(only_file(&room), "PAR1").unwrap();
-    ask("catalogue", "select count(x_m) from frames").fails(1, &["`realitysim catalogue show`"]);
-}
-
 /// Asks DuckDB, and these programs, what the document asks.
-fn ask_documented_queries(programs: &[&str]) {
+pub fn ask_documented_queries(programs: &[&str]) {
     let Some(python) = std::env::var_os(INTERPRETER) else {
         println!("skipped: {INTERPRETER} names no interpreter");
         return;

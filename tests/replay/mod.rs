@@ -7,7 +7,7 @@ mod budget;
 mod calibrate;
 mod capture;
 #[cfg(feature = "catalogue")]
-mod catalogue;
+pub mod catalogue;
 mod chains;
 mod channels;
 mod check;
