@@ -15,7 +15,8 @@ pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<
     serde_json::from_value(settings).map_err(D::Error::custom)
 }
 
-/// Removes the keys that `known` does not have. An empty object of `known` is a map whose keys are free.
+/// Removes the keys that `known` does not have, which therefore has to have all of them, null where nothing is set. An empty object of
+/// `known` is a map whose keys are free.
 fn remove_unknown(value: &mut Value, known: &Value) {
     let (Value::Object(keys), Value::Object(known)) = (value, known) else { return };
     if known.is_empty() {
@@ -43,6 +44,11 @@ mod tests {
         let mut settings = Settings::default();
         settings.filter.particles = 77;
         settings.capture.controls.insert("gain".to_owned(), 30);
+        // Keys without a default are known, too.
+        settings.field_size_m = Some([6.06, 3.96]);
+        settings.filter.alpha = Some(2.0);
+        settings.camera.fov_deg = Some(180.0);
+        settings.mount.torso_height_m = Some(0.4);
         let mut recorded = serde_json::to_value(&settings).unwrap();
         recorded["filter"]["of_another_version"] = 0.7.into();
         recorded["section_of_another_version"] = serde_json::json!({"key": 1});

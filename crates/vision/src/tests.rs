@@ -364,24 +364,22 @@ fn the_log_likelihood_of_a_pose_is_that_of_the_direct_way() {
 
 #[test]
 fn ridges_lie_on_painted_lines_as_far_as_four_metres_with_every_lens() {
-    let lenses: Vec<(&str, Lens)> = lenses().into_iter().chain(more_lenses()).collect();
     // Rendering takes seconds for each.
     std::thread::scope(|scope| {
-        for half in lenses.chunks(lenses.len().div_ceil(2)) {
-            scope.spawn(|| half.iter().for_each(|(name, lens)| assert_ridges_lie_on_lines(name, lens)));
-        }
+        scope.spawn(|| frames().iter().for_each(|(name, direct)| assert_ridges_lie_on_lines(name, direct)));
+        scope.spawn(|| {
+            more_lenses().iter().for_each(|(name, lens)| assert_ridges_lie_on_lines(name, &Direct::new(lens, &ROBOT)));
+        });
     });
 }
 
-fn assert_ridges_lie_on_lines(name: &str, lens: &Lens) {
-    let robot = Pose2::new(-1.2, 0.3, 0.2);
-    let direct = Direct::new(lens, &robot);
-    let ridges = direct.seen.ridges(&place(), lens.focal(), LINE_WIDTH_M);
+fn assert_ridges_lie_on_lines(name: &str, direct: &Direct) {
+    let ridges = direct.seen.ridges(&place(), direct.lens.focal(), LINE_WIDTH_M);
     // Counts painted points in view, one for each 5 cm of line, and those of them that are near a ridge.
     let points = field().points((field().strokes().iter().map(|stroke| stroke.length()).sum::<f64>() / 0.05) as usize);
     let (mut in_view, mut found) = (0, 0);
     for point in points {
-        let inverse = robot.inverse().to_affine();
+        let inverse = ROBOT.inverse().to_affine();
         let ground = inverse.transform_point2(point.position);
         let Some(pixel) = direct.pixel(ground) else { continue };
         if ground.length() > 4.0 || pixel.x < 20.0 || pixel.y < 20.0 || pixel.x > 620.0 || pixel.y > 460.0 {

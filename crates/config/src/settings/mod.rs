@@ -39,7 +39,6 @@ pub struct Settings {
     pub field: String,
     /// Length and width of the field between the centres of its lines, metres, where they were measured and differ from
     /// those of `field`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub field_size_m: Option<[f64; 2]>,
     /// Topics of the measurements.
     pub topics: Topics,
