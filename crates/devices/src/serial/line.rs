@@ -32,7 +32,6 @@ pub struct Pose {
 
 /// State of a line, for people and logs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
 pub struct LineStatus {
     /// What the port has carried so far.
     #[serde(flatten)]
@@ -40,6 +39,7 @@ pub struct LineStatus {
     /// Number of times that bytes could not be sent because the device did not take them: questions for the time, poses.
     pub unsent: u64,
     /// The clocks of the devices.
+    #[serde(default)]
     pub clocks: Vec<SenderClock>,
 }
 
