@@ -15,7 +15,7 @@ use crate::config::{LensFile, LensFormat, load_lens_for_image, plain_file};
 use crate::geometry::{Euler, Field, Lens, Pose2};
 use crate::log_input::{body_mask, decode};
 use crate::recording::{SESSION_FILE, read_info};
-use crate::tagging::image_location::{FitQuality, ImageLocation, MIN_SHARE, MIN_WEIGHT, PoseHypothesis};
+use crate::tagging::image_location::{ImageLocation, MIN_SHARE, MIN_WEIGHT, PoseHypothesis};
 use crate::tagging::single_image::{ImagePrior, Look, MEASURED_HEIGHT_SIGMA_M};
 use crate::tagging::unknown_mount::UnknownMount;
 use crate::tagging::warnings::scaled_lens;
@@ -77,12 +77,12 @@ impl Camera {
     }
 }
 
-/// Number of fields that are searched closely although a survey found nothing on them.
+/// Number of fields that are searched closely.
 const SEARCHED_CLOSELY: usize = 2;
 
 /// Finds the poses on each field that explain a picture of a camera whose attitude and height are known.
 ///
-/// Of many fields, those that a survey finds a pose on are searched closely, and the best two in any case.
+/// Of many fields, those that a survey of each finds best are searched closely.
 fn locate_known<'f>(
     known: &ImagePrior,
     picture: &Picture,
@@ -105,10 +105,8 @@ fn locate_known<'f>(
         located.push((name.as_str(), field, known.locate_by_survey(look, field, seed), look));
     }
     located.sort_by(|a, b| by_fit(&a.2, &b.2));
-    for (place, (_, field, found, look)) in located.iter_mut().enumerate() {
-        if place < SEARCHED_CLOSELY || found.fit() != FitQuality::None {
-            *found = known.locate(look, field, seed);
-        }
+    for (_, field, found, look) in located.iter_mut().take(SEARCHED_CLOSELY) {
+        *found = known.locate(look, field, seed);
     }
     located.into_iter().map(|(name, field, found, _)| (name, field, found)).collect()
 }

@@ -4,6 +4,7 @@
 //! back is asked again. What is not asked costs nothing: frames are fetched while somebody looks, one after the other, so that a thin
 //! link carries fewer.
 
+use std::collections::VecDeque;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -68,8 +69,9 @@ struct Seen {
     why: String,
     status: Value,
     words: Vec<String>,
-    /// The latest frame, and what the recorder says of it.
-    latest: Option<Arc<WatchedFrame>>,
+    /// The latest frames, the newest last.
+    recent: VecDeque<Arc<WatchedFrame>>,
+    /// What the recorder says of the newest one.
     frame: Value,
     /// Number of the latest frame that came, understood or not.
     known: Option<u64>,
@@ -83,6 +85,10 @@ struct Seen {
 const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// Smallest time between two frames: five a second are enough to watch.
 const FRAME_EVERY: Duration = Duration::from_millis(200);
+/// Frames that are held: three seconds of them, in which a page on a thin link has read the tag and asks for its picture.
+const MAX_RECENT: usize = 16;
+/// Bytes of their pictures; one is held in any case.
+const MAX_RECENT_BYTES: usize = 32 << 20;
 /// Time after the last look within which frames are fetched.
 const LOOKED_WITHIN: Duration = Duration::from_secs(3);
 /// Time between two attempts to reach the robot.
@@ -93,6 +99,27 @@ const MAX_CONNECT: Duration = Duration::from_secs(20);
 const TICK: Duration = Duration::from_millis(50);
 /// Bytes of ssh's complaint that are kept.
 const MAX_COMPLAINT_BYTES: u64 = 4096;
+
+impl Seen {
+    fn latest(&self) -> Option<&Arc<WatchedFrame>> {
+        self.recent.back()
+    }
+
+    /// Holds a frame, and lets the oldest go.
+    fn hold(&mut self, frame: WatchedFrame) {
+        self.recent.push_back(Arc::new(frame));
+        let bytes =
+            |recent: &VecDeque<Arc<WatchedFrame>>| recent.iter().map(|frame| frame.picture.len()).sum::<usize>();
+        while self.recent.len() > MAX_RECENT || (self.recent.len() > 1 && bytes(&self.recent) > MAX_RECENT_BYTES) {
+            self.recent.pop_front();
+        }
+    }
+
+    /// The frame of a tag. Where a recorder began to count anew, the newest.
+    fn of_sequence(&self, number: u64) -> Option<Arc<WatchedFrame>> {
+        self.recent.iter().rev().find(|frame| frame.tag.sequence == number).cloned()
+    }
+}
 
 impl RemoteRecorder {
     /// Begins to watch. `describe` puts a status into words.
@@ -114,7 +141,7 @@ impl RemoteRecorder {
         let connected = seen.socket.is_some();
         let why = if connected { seen.no_frame.clone().unwrap_or_default() } else { seen.why.clone() };
         let (robot, words) = (self.shared.host().to_owned(), seen.words.clone());
-        WatchedRecorder { robot, connected, why, words, frame: seen.latest.clone() }
+        WatchedRecorder { robot, connected, why, words, frame: seen.latest().cloned() }
     }
 }
 
@@ -139,12 +166,15 @@ impl LiveRobot for RemoteRecorder {
             "words": seen.words,
             "frame": seen.frame,
             "no_frame": seen.no_frame,
-            "age_s": seen.latest.as_ref().map(|frame| frame.came.elapsed().as_secs_f64()),
+            "age_s": seen.latest().map(|frame| frame.came.elapsed().as_secs_f64()),
         })
     }
 
-    fn picture(&self) -> Option<Vec<u8>> {
-        let frame = self.shared.seen().latest.clone()?;
+    fn picture(&self, sequence: Option<u32>) -> Option<Vec<u8>> {
+        let frame = match sequence {
+            None => self.shared.seen().latest().cloned(),
+            Some(number) => self.shared.seen().of_sequence(number.into()),
+        }?;
         (!frame.picture.is_empty()).then(|| frame.picture.to_vec())
     }
 
@@ -307,7 +337,8 @@ impl Shared {
             return;
         };
         line["lines"] = latest.lines();
-        (seen.frame, seen.latest, seen.no_frame) = (line, Some(Arc::new(latest)), None);
+        (seen.frame, seen.no_frame) = (line, None);
+        seen.hold(latest);
     }
 }
 

@@ -84,6 +84,13 @@ fn a_watched_robot_shows_its_frames_with_lines_and_takes_orders() {
     assert!(state["words"].as_array().is_some_and(|words| words.len() > 3), "{state}");
     let picture = get(watch.address(), "/v1/live/frame");
     assert!(picture.status == 200 && picture.body.starts_with(&[0xff, 0xd8]), "{}", picture.status);
+    // Lines are drawn on the picture of their own frame, whatever came since.
+    let state = watch.waits_for("a frame", |state| state["frame"]["tag"]["sequence"].is_u64());
+    let of_tag = || get(watch.address(), &format!("/v1/live/frame?sequence={}", state["frame"]["tag"]["sequence"]));
+    let its_picture = of_tag().body;
+    watch.waits_for("another frame", |now| now["frame"]["tag"]["sequence"] != state["frame"]["tag"]["sequence"]);
+    assert!(of_tag().body == its_picture && its_picture.len() as u64 == state["frame"]["bytes"], "{state}");
+    assert_eq!(get(watch.address(), "/v1/live/frame?sequence=4000000000").status, 404);
     assert_eq!(watch.order("mark goal kick"), (200, serde_json::json!({ "marked": "goal kick" })));
     assert_eq!(watch.order("place 100,0,0").0, 409, "off the field");
     assert_eq!(watch.order("poses").0, 400);

@@ -58,15 +58,23 @@ async function take() {
   if (!stamp || stamp === shownStamp) return;
   const frame = state.frame;
   shownStamp = stamp;
+  // A picture that is gone is of a frame that is gone: the next one is drawn. Raw images have no picture.
+  const shown = frame.bytes ? await pictureOf(frame.tag.sequence) : null;
+  if (frame.bytes && !shown) return;
+  picture = shown;
   if (!map.field || JSON.stringify(map.field) !== JSON.stringify(frame.field)) map.setField(frame.field);
   remember(frame.tag);
-  try {
-    picture = await createImageBitmap(await (await ask('/v1/live/frame', { accept: 'image/*' })).blob());
-  } catch {
-    picture = null;
-  }
   paint(frame);
   map.show();
+}
+
+/** The picture of the frame whose tag has this number. */
+async function pictureOf(sequence) {
+  try {
+    return await createImageBitmap(await (await ask(`/v1/live/frame?sequence=${sequence}`, { accept: 'image/*' })).blob());
+  } catch {
+    return null;
+  }
 }
 
 function item(words) {

@@ -12,8 +12,9 @@ pub trait LiveRobot: Debug + Send + Sync {
     /// Returns what is known of it: `robot`, `connected`, `why` it is not, `status`, `words`, `frame` (tag, field, lens, lines), `age_s`.
     fn state(&self) -> Value;
 
-    /// Returns the latest frame's image, if there is one: a JPEG or PNG.
-    fn picture(&self) -> Option<Vec<u8>>;
+    /// Returns the image of the frame whose tag has this number, or of the latest one: a JPEG or PNG. `None` if it is not held any more, or if
+    /// the camera's images are raw.
+    fn picture(&self, sequence: Option<u32>) -> Option<Vec<u8>>;
 
     /// Gives it an order: `mark TEXT`, `place X,Y,YAW_DEG` (metres, degrees), `start` or `stop`. `Err` says why it is not done.
     fn order(&self, order: &str) -> Result<Value, String>;
@@ -30,10 +31,19 @@ pub(super) fn state(robot: Option<&dyn LiveRobot>) -> Value {
     state
 }
 
-/// Returns the latest frame's image and its media type.
-pub(super) fn picture(robot: Option<&dyn LiveRobot>) -> Result<(Vec<u8>, &'static str), HttpProblem> {
-    let none = || HttpProblem::new(StatusCode::NOT_FOUND, "there is no picture: /v1/live says why");
-    let picture = robot.and_then(LiveRobot::picture).ok_or_else(none)?;
+/// Returns a frame's image and its media type.
+pub(super) fn picture(
+    robot: Option<&dyn LiveRobot>,
+    sequence: Option<u32>,
+) -> Result<(Vec<u8>, &'static str), HttpProblem> {
+    let none = || match sequence {
+        Some(number) => HttpProblem::new(
+            StatusCode::NOT_FOUND,
+            format!("the picture of frame {number} is not here, or not any more"),
+        ),
+        None => HttpProblem::new(StatusCode::NOT_FOUND, "there is no picture: /v1/live says why"),
+    };
+    let picture = robot.and_then(|robot| robot.picture(sequence)).ok_or_else(none)?;
     let media_type = if picture.starts_with(b"\x89PNG") { "image/png" } else { "image/jpeg" };
     Ok((picture, media_type))
 }

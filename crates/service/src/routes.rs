@@ -127,10 +127,11 @@ async fn dispatch(
             let raw = accepts_raw(list(&request, &ACCEPT).as_deref());
             capture(service, slot, parameters, route, raw).await
         }
-        "/v1/live" | "/v1/live/frame" => {
+        "/v1/live" => {
             parameters.only(&[])?;
-            live_state(service, slot, route)
+            Ok(json_reply(&live::state(service.live.as_deref())))
         }
+        "/v1/live/frame" => live_frame(service, slot, &parameters),
         "/v1/live/order" => live_order(service, &parameters, request).await,
         "/metrics" => Ok(bytes(StatusCode::OK, "text/plain; version=0.0.4", metrics(service))),
         _ => Ok(bytes(StatusCode::OK, "application/json", OPENAPI)),
@@ -227,13 +228,11 @@ async fn coverage(
     Ok(bytes(StatusCode::OK, kind, hold_answer(slot, content)?))
 }
 
-/// Answers what is asked of the robot that is watched.
-fn live_state(service: &Service, slot: &Arc<ConnectionSlot>, route: &str) -> Result<Reply, HttpProblem> {
-    let robot = service.live.as_deref();
-    if route == "/v1/live" {
-        return Ok(json_reply(&live::state(robot)));
-    }
-    let (content, kind) = live::picture(robot)?;
+/// Answers with a picture of the robot that is watched.
+fn live_frame(service: &Service, slot: &Arc<ConnectionSlot>, parameters: &Parameters) -> Result<Reply, HttpProblem> {
+    parameters.only(&["sequence"])?;
+    let sequence = parameters.whole("sequence", 0, u32::MAX)?;
+    let (content, kind) = live::picture(service.live.as_deref(), sequence)?;
     Ok(bytes(StatusCode::OK, kind, hold_answer(slot, content)?))
 }
 

@@ -4,10 +4,9 @@
 //! other mounts. Nothing is assumed about how the robot moved.
 
 use std::borrow::Cow;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 use super::image_location::{FitQuality, PoseHypothesis};
+use super::parallel::in_parallel;
 use super::perception_pool::decode_picture;
 use super::setup::FramePerception;
 use super::single_image::{ImagePrior, MEASURED_HEIGHT_SIGMA_M, searched_m2};
@@ -419,26 +418,4 @@ impl core::fmt::Display for Change {
             Self::Height(times) => write!(f, "the camera is {times:.2} times as high above the carpet"),
         }
     }
-}
-
-/// Calls `work` for each index below `count` on several threads; the results are in the order of the indices.
-fn in_parallel<T: Send>(threads: usize, count: usize, work: impl Fn(usize) -> T + Sync) -> Vec<T> {
-    let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::with_capacity(count)));
-    std::thread::scope(|scope| {
-        for _ in 0..threads.clamp(1, count.max(1)) {
-            scope.spawn(|| {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    if index >= count {
-                        break;
-                    }
-                    let result = work(index);
-                    done.lock().unwrap_or_else(PoisonError::into_inner).push((index, result));
-                }
-            });
-        }
-    });
-    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
-    done.sort_by_key(|(index, _)| *index);
-    done.into_iter().map(|(_, result)| result).collect()
 }

@@ -10,36 +10,19 @@ use super::result_folder::{ResultFolder, UnitRecord};
 use super::session_name;
 use super::step::Step;
 use crate::cli::{error_text, output};
+use crate::tagging::in_parallel;
 
 /// Does a step with sessions, `workers` at a time, and returns what became of each, in their order.
 pub(super) fn run_all(step: &Step, sessions: &[PathBuf], results: &Path, workers: usize) -> Vec<UnitReport> {
     let watch = Watch { bar: Mutex::new((output::Progress::new(step.doing()), 0)), all: sessions.len() };
-    let (next, done) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
-    let work = || {
-        while let Some((number, session)) = claim(&next, sessions) {
-            let report = run_unit(step, session, results, &mut watch.of_unit());
-            let mut done = done.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-            done.push((number, report));
-            if let Some((_, report)) = done.last() {
-                watch.tell(done.len(), report);
-            }
-        }
-    };
-    std::thread::scope(|scope| {
-        for _ in 0..workers.min(sessions.len()) {
-            scope.spawn(work);
-        }
+    let done = AtomicUsize::new(0);
+    let reports = in_parallel(workers, sessions.len(), |number| {
+        let report = run_unit(step, &sessions[number], results, &mut watch.of_unit());
+        watch.tell(done.fetch_add(1, Ordering::Relaxed) + 1, &report);
+        report
     });
     watch.finish();
-    let mut done = done.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
-    done.sort_by_key(|(number, _)| *number);
-    done.into_iter().map(|(_, report)| report).collect()
-}
-
-/// The next session that nobody works on, and its number.
-fn claim<'a>(next: &AtomicUsize, sessions: &'a [PathBuf]) -> Option<(usize, &'a Path)> {
-    let number = next.fetch_add(1, Ordering::Relaxed);
-    sessions.get(number).map(|session| (number, session.as_path()))
+    reports
 }
 
 fn run_unit(step: &Step, session: &Path, results: &Path, progress: &mut dyn FnMut(u64)) -> UnitReport {
