@@ -91,6 +91,11 @@ fn a_watched_robot_shows_its_frames_with_lines_and_takes_orders() {
     watch.waits_for("another frame", |now| now["frame"]["tag"]["sequence"] != state["frame"]["tag"]["sequence"]);
     assert!(of_tag().body == its_picture && its_picture.len() as u64 == state["frame"]["bytes"], "{state}");
     assert_eq!(get(watch.address(), "/v1/live/frame?sequence=4000000000").status, 404);
+    // What a thin link carries: a small picture, and lines of few points.
+    let small = get(watch.address(), "/v1/live/frame?width=100&quality=50");
+    assert!(small.status == 200 && small.body.starts_with(&[0xff, 0xd8]), "{}", small.status);
+    assert!(4 * small.body.len() < picture.body.len(), "{} of {} bytes", small.body.len(), picture.body.len());
+    assert!(get(watch.address(), "/v1/live").body.len() < 12_000, "bytes of the state");
     assert_eq!(watch.order("mark goal kick"), (200, serde_json::json!({ "marked": "goal kick" })));
     assert_eq!(watch.order("place 100,0,0").0, 409, "off the field");
     assert_eq!(watch.order("poses").0, 400);

@@ -8,14 +8,14 @@ use std::time::Duration;
 use serde_json::Value;
 
 #[derive(Debug)]
-pub struct SynthesizedView {
+pub struct Response {
     pub status: u16,
     /// Names in lower case.
     pub headers: BTreeMap<String, String>,
     pub body: Vec<u8>,
 }
 
-impl SynthesizedView {
+impl Response {
     pub fn header(&self, name: &str) -> &str {
         self.headers.get(name).unwrap_or_else(|| panic!("no {name}: {:?}", self.headers))
     }
@@ -72,25 +72,25 @@ pub fn exchange(address: SocketAddr, request: &[u8]) -> Vec<u8> {
     bytes
 }
 
-pub fn get_with(address: SocketAddr, path: &str, headers: &str) -> SynthesizedView {
+pub fn get_with(address: SocketAddr, path: &str, headers: &str) -> Response {
     let request = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n{headers}\r\n");
-    SynthesizedView::parse(&exchange(address, request.as_bytes())).expect("an answer")
+    Response::parse(&exchange(address, request.as_bytes())).expect("an answer")
 }
 
-pub fn get(address: SocketAddr, path: &str) -> SynthesizedView {
+pub fn get(address: SocketAddr, path: &str) -> Response {
     get_with(address, path, "")
 }
 
-pub fn post(address: SocketAddr, path: &str, body: &str) -> SynthesizedView {
+pub fn post(address: SocketAddr, path: &str, body: &str) -> Response {
     let length = body.len();
     let head = format!(
         "POST {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n\r\n"
     );
-    SynthesizedView::parse(&exchange(address, &[head.as_bytes(), body.as_bytes()].concat())).expect("an answer")
+    Response::parse(&exchange(address, &[head.as_bytes(), body.as_bytes()].concat())).expect("an answer")
 }
 
 /// Headers and content of each part.
-pub fn parts(answer: &SynthesizedView) -> Vec<(BTreeMap<String, String>, Vec<u8>)> {
+pub fn parts(answer: &Response) -> Vec<(BTreeMap<String, String>, Vec<u8>)> {
     let (_, boundary) = answer.header("content-type").split_once("boundary=").expect("a boundary");
     let mut rest = answer.body.as_slice();
     let mut parts = Vec::new();

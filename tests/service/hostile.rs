@@ -1,12 +1,13 @@
 //! Clients that are slow, many, or talk nonsense.
 
+use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use super::Served;
-use super::client::{SynthesizedView, connect, exchange, get, get_with};
+use super::client::{Response, connect, exchange, get, get_with};
 
 const HERE: &str = "/v1/view?x=0.22&y=0.2&z=0.5&yaw_deg=11&pitch_deg=20";
 
@@ -39,7 +40,7 @@ fn garbage_is_refused_and_the_next_client_served() {
         let _ = stream.shutdown(std::net::Shutdown::Write);
         let mut bytes = Vec::new();
         let _ = stream.read_to_end(&mut bytes);
-        if let Some(answer) = SynthesizedView::parse(&bytes) {
+        if let Some(answer) = Response::parse(&bytes) {
             assert!((400..500).contains(&answer.status), "{:?}: {answer:?}", String::from_utf8_lossy(request));
         }
         assert_eq!(get(served.address, HERE).status, 200);
@@ -117,6 +118,24 @@ fn many_at_once_are_served_or_told_to_come_back() {
 }
 
 #[test]
+fn who_comes_when_all_places_are_taken_is_told_so() {
+    let served = Served::new("--threads 2");
+    let request = "GET /openapi.json HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
+    let mut clients: Vec<TcpStream> = (0..CROWD).map(|_| connect(served.address)).collect();
+    // Requests are on their way before the first is answered.
+    clients.iter_mut().for_each(|client| drop(client.write_all(request.as_bytes())));
+    let answers = clients.iter_mut().map(|client| {
+        let mut bytes = Vec::new();
+        let _ = client.read_to_end(&mut bytes);
+        Response::parse(&bytes).expect("an answer").status
+    });
+    let mut counts = BTreeMap::new();
+    answers.for_each(|status| *counts.entry(status).or_insert(0) += 1);
+    assert!(counts.keys().all(|status| [200, 503].contains(status)), "{counts:?}");
+    assert!(counts[&200] >= 200, "{counts:?}");
+}
+
+#[test]
 fn connections_on_which_nothing_is_asked_give_way_to_newcomers() {
     let served = Served::new("");
     // They are hung up on after ten seconds of silence only: whoever waits for that takes longer every time, and a busy machine
@@ -132,8 +151,14 @@ fn wait_behind_silent_connections(served: &Served) -> Duration {
         let _ = hog.write_all(b"GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n");
     }
     let asked = Instant::now();
-    for _ in 0..20 {
-        assert_eq!(get(served.address, HERE).status, 200);
+    let mut answered = 0;
+    while answered < 20 {
+        match get(served.address, HERE).status {
+            200 => answered += 1,
+            // The silent ones may have a request on its way yet.
+            503 => std::thread::sleep(Duration::from_millis(200)),
+            status => panic!("{status}"),
+        }
     }
     asked.elapsed()
 }
@@ -157,8 +182,8 @@ fn readers_that_take_nothing_cost_a_bounded_amount_of_memory() {
     let unsent: u64 = unsent.parse().expect("a number");
     assert!((1 << 24..=256 << 20).contains(&unsent), "{unsent} bytes");
     let peak_kb = served.peak_kb();
-    // Forty answers are 671 MB.
-    assert!(peak_kb < 560_000, "{peak_kb} kB");
+    // Forty answers are 671 MB, beside some 300 MB for what is at work.
+    assert!(peak_kb < 640_000, "{peak_kb} kB");
     assert_eq!(get(served.address, HERE).status, 200);
     drop(deaf);
 }
@@ -187,7 +212,7 @@ fn beyond_loopback_a_token_is_needed() {
 fn a_client_that_may_not_ask_keeps_no_connection() {
     let served = Served::new("");
     let refused = exchange(served.address, b"GET /v1/info HTTP/1.1\r\nHost: evil.example\r\n\r\n");
-    let answer = SynthesizedView::parse(&refused).expect("an answer, and the connection closed behind it");
+    let answer = Response::parse(&refused).expect("an answer, and the connection closed behind it");
     assert_eq!((answer.status, answer.header("connection")), (403, "close"));
 }
 
@@ -201,7 +226,7 @@ fn a_page_of_another_site_is_not_answered_and_one_of_its_own_is() {
         let request = format!(
             "POST /v1/views HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{headers}Content-Length: {length}\r\n\r\n{body}"
         );
-        let answer = SynthesizedView::parse(&exchange(served.address, request.as_bytes())).expect("an answer");
+        let answer = Response::parse(&exchange(served.address, request.as_bytes())).expect("an answer");
         assert_eq!(answer.header("cross-origin-resource-policy"), "same-origin");
         answer.status
     };
@@ -236,7 +261,7 @@ fn an_index_that_is_cut_while_it_is_served_changes_no_answer() {
 fn a_body_that_is_announced_too_large_is_not_waited_for() {
     let served = Served::new("");
     let head = "POST /v1/views HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: application/json\r\nContent-Length: 99999999999\r\n\r\n{}";
-    let answer = SynthesizedView::parse(&exchange(served.address, head.as_bytes())).expect("an answer");
+    let answer = Response::parse(&exchange(served.address, head.as_bytes())).expect("an answer");
     // One that is waited for is refused with 408.
     assert_eq!(answer.status, 413, "{}", answer.text());
 }

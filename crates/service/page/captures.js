@@ -61,8 +61,9 @@ function sessionItem(session) {
   name.textContent = session.name;
   const words = document.createElement('small');
   const share = session.tagged ? `${((100 * session.valid) / session.tagged).toFixed(1)} % of ${session.tagged} tags valid` : 'no tags listed';
-  const open = session.open ? ', being recorded or never finished' : '';
-  words.textContent = `${length(session.seconds)}, ${share}, ${(session.bytes / 1e6).toFixed(0)} MB${open}`;
+  const open = session.recording ? ', being recorded' : session.open ? ', never finished: `realitysim sessions repair`' : '';
+  const lost = session.missing ? `, ${session.missing} of its segments are missing or damaged` : '';
+  words.textContent = `${length(session.seconds)}, ${share}, ${(session.bytes / 1e6).toFixed(1)} MB${open}${lost}`;
   button.append(name, words);
   button.addEventListener('click', () => openSession(session.name, 0));
   const item = document.createElement('li');
@@ -210,7 +211,7 @@ async function showFrame(index) {
   at('scrub').value = String(index);
   at('legend').hidden = true;
   const { t_s, valid, reason, reasons, sigma_m } = capture;
-  at('scrub-said').textContent = `frame ${index} of ${t_s.length - 1}, ${t_s[index].toFixed(2)} s`;
+  at('scrub-said').textContent = `frame ${index + 1} of ${t_s.length}, ${t_s[index].toFixed(2)} s`;
   at('frame-said').textContent = valid[index] ? `valid, sigma ${(100 * sigma_m[index]).toFixed(1)} cm` : `invalid: ${reasons[reason[index]]}`;
   at('frame-said').classList.toggle('warn', !valid[index]);
   map.show();

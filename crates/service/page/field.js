@@ -153,6 +153,11 @@ export class FieldMap {
   }
 }
 
+/** Colour of places that have images, by the colour scheme of the page. */
+export function coveredColour() {
+  return getComputedStyle(document.documentElement).getPropertyValue('--covered');
+}
+
 /** The tip of a camera's arrow, pixels. */
 export function arrowTip(px, py, yaw, length = 34) {
   const angle = (yaw * Math.PI) / 180;

@@ -1,7 +1,8 @@
 // The tab Live: what a robot's recorder sees now.
 
 import { ask, askJson, pause } from './api.js';
-import { FieldMap } from './field.js';
+import { FieldMap, coveredColour } from './field.js';
+import { Link } from './link.js';
 
 const POSE = '#e61e3c';
 const INVALID = '#e08a00';
@@ -24,6 +25,8 @@ let picture = null;
 let route = [];
 let placing = false;
 let shownStamp = null;
+/** The link to the service, which says how large a picture it carries. */
+const link = new Link();
 
 async function follow() {
   if (running) return;
@@ -40,26 +43,34 @@ async function follow() {
   running = false;
 }
 
+/** Whether the buttons give orders. */
+function allow(connected) {
+  for (const id of ['live-mark', 'live-start', 'live-stop', 'live-place']) at(id).disabled = !connected;
+}
+
 async function take() {
+  at('live-frame').hidden = !state.frame;
   if (!state.watched) {
+    allow(false);
     tell('No robot is watched: `realitysim live user@host:` does that.');
     return;
   }
   if (!state.connected) tell(`${state.robot} is away: ${state.why}`);
   else if (state.no_frame) tell(state.no_frame);
   else tell(state.age_s > 2 ? `the last picture is ${state.age_s.toFixed(0)} s old` : '');
-  const lines = state.words ?? [];
+  // Rows of the map of coverage are drawn on the field.
+  const lines = (state.words ?? []).filter((words) => !words.startsWith('  '));
   if (at('live-words').dataset.text !== lines.join('\n')) {
     at('live-words').dataset.text = lines.join('\n');
     at('live-words').replaceChildren(...lines.map(item));
   }
-  for (const id of ['live-mark', 'live-start', 'live-stop', 'live-place']) at(id).disabled = !state.connected;
+  allow(state.connected);
   const stamp = state.frame && JSON.stringify([state.frame.tag.sequence, state.frame.tag.header.stamp]);
   if (!stamp || stamp === shownStamp) return;
   const frame = state.frame;
   shownStamp = stamp;
   // A picture that is gone is of a frame that is gone: the next one is drawn. Raw images have no picture.
-  const shown = frame.bytes ? await pictureOf(frame.tag.sequence) : null;
+  const shown = frame.bytes ? await pictureOf(frame) : null;
   if (frame.bytes && !shown) return;
   picture = shown;
   if (!map.field || JSON.stringify(map.field) !== JSON.stringify(frame.field)) map.setField(frame.field);
@@ -68,10 +79,15 @@ async function take() {
   map.show();
 }
 
-/** The picture of the frame whose tag has this number. */
-async function pictureOf(sequence) {
+/** The picture of the frame whose tag has this number, as large as the link carries it. */
+async function pictureOf({ tag, lens }) {
+  const { width, quality } = link.fit({ width: lens.width });
+  const query = new URLSearchParams({ sequence: tag.sequence, ...(link.isThin ? { width, quality } : {}) });
+  const began = performance.now();
   try {
-    return await createImageBitmap(await (await ask(`/v1/live/frame?sequence=${sequence}`, { accept: 'image/*' })).blob());
+    const bytes = await (await ask(`/v1/live/frame?${query}`, { accept: 'image/*' })).blob();
+    link.took((performance.now() - began) / 1000);
+    return await createImageBitmap(bytes);
   } catch {
     return null;
   }
@@ -80,8 +96,6 @@ async function pictureOf(sequence) {
 function item(words) {
   const element = document.createElement('li');
   element.textContent = words;
-  // Rows of a map of text stand below each other.
-  element.classList.toggle('letters', words.startsWith('  '));
   return element;
 }
 
@@ -123,7 +137,27 @@ function paint(frame) {
 
 const degrees = (radians) => ((radians * 180) / Math.PI).toFixed(0);
 
+/** Each cell with images of this session: darker the more headings have one. Rows of letters, y up, as `recorder status` shows them. */
+function drawCoverage(field) {
+  const coverage = state?.status?.coverage;
+  if (!coverage || !at('live-coverage').checked) return;
+  const c = field.context;
+  const { cell_m, rows, sectors } = coverage;
+  c.fillStyle = coveredColour();
+  coverage.map.forEach((letters, fromTop) => {
+    [...letters].forEach((letter, column) => {
+      const headings = { '.': 0, '#': sectors, '+': 10 }[letter] ?? Number(letter);
+      if (!headings) return;
+      c.globalAlpha = 0.2 + (0.5 * headings) / sectors;
+      const [px, py] = field.toPixel(column * cell_m - field.half.x, (rows - fromTop) * cell_m - field.half.y);
+      c.fillRect(px, py, cell_m * field.scale, cell_m * field.scale);
+    });
+  });
+  c.globalAlpha = 1;
+}
+
 function drawMap(field) {
+  drawCoverage(field);
   const tag = state?.frame?.tag;
   const c = field.context;
   c.strokeStyle = POSE;
@@ -199,6 +233,9 @@ export function start(info) {
   at('live-start').addEventListener('click', () => order('start'));
   at('live-stop').addEventListener('click', () => confirm('Stop the session?') && order('stop'));
   at('live-place').addEventListener('click', () => setPlacing(!placing));
+  at('live-coverage').addEventListener('change', () => map.show());
+  at('live-frame').hidden = true;
+  allow(false);
   placeOnMap(at('live-map'));
 }
 

@@ -26,7 +26,8 @@ function remember(name, parameters) {
 function show(name, parameters) {
   shown = name;
   for (const tab of Object.keys(TABS)) {
-    document.getElementById(tab).hidden = tab !== name;
+    // Not the name alone: the browser scrolls to an element whose id is in the address line.
+    document.getElementById(`panel-${tab}`).hidden = tab !== name;
     const button = document.getElementById(`tab-${tab}`);
     button.setAttribute('aria-selected', String(tab === name));
     button.tabIndex = tab === name ? 0 : -1;

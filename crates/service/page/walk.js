@@ -1,7 +1,7 @@
 // The tab Walk: a camera on the field, and beside it at once what it would see there.
 
 import { askJson, say } from './api.js';
-import { FieldMap, arrowTip } from './field.js';
+import { FieldMap, arrowTip, coveredColour } from './field.js';
 import { Link } from './link.js';
 import { NAMES, START, bounded, fromParameters, rounded, stepped, toParameters } from './pose.js';
 import { ViewLoop } from './views.js';
@@ -83,17 +83,18 @@ let layer = null;
 /** The coverage as a picture, which is drawn anew only when it or the size of the map changes. */
 function coverageLayer(field) {
   const { width, height } = field.canvas;
-  if (layer?.of !== coverage || layer.canvas.width !== width || layer.canvas.height !== height) {
-    layer = { of: coverage, canvas: new OffscreenCanvas(width, height) };
+  const colour = coveredColour();
+  if (layer?.of !== coverage || layer.colour !== colour || layer.canvas.width !== width || layer.canvas.height !== height) {
+    layer = { of: coverage, colour, canvas: new OffscreenCanvas(width, height) };
     const context = layer.canvas.getContext('2d');
     context.scale(width / field.width, height / field.height);
-    drawCoverage(field, context);
+    drawCoverage(field, context, colour);
   }
   return layer.canvas;
 }
 
 /** Each cell with images: a sector for each heading, darker the more there are. */
-function drawCoverage(field, c) {
+function drawCoverage(field, c, colour) {
   const { cell_m, sectors, columns, counts } = coverage;
   const radius = Math.max(2, (cell_m * field.scale) / 2 - 1);
   const most = Math.max(2, ...coverage.cells.map(({ count }) => count));
@@ -101,7 +102,7 @@ function drawCoverage(field, c) {
     const count = counts[(row * columns + column) * sectors + sector];
     const [px, py] = field.toPixel((column + 0.5) * cell_m - field.half.x, (row + 0.5) * cell_m - field.half.y);
     const turn = (2 * Math.PI) / sectors;
-    c.fillStyle = '#102a4c';
+    c.fillStyle = colour;
     c.globalAlpha = 0.35 + 0.6 * (Math.log(count) / Math.log(most));
     c.beginPath();
     c.moveTo(px, py);

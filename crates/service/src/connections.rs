@@ -19,6 +19,9 @@ const MAX_PER_ADDRESS: usize = 64;
 const MAX_UNSENT_BYTES: usize = 256 << 20;
 /// Time before which no reader counts as slow.
 const MIN_READING_TIME: Duration = Duration::from_secs(1);
+/// Time that a new connection has for its first request before its place may be taken: the request may be on its way, and in a
+/// crowd the kernel repeats what it dropped after one second.
+const MIN_SILENCE: Duration = Duration::from_secs(3);
 
 /// All connections of the service.
 #[derive(Default)]
@@ -37,6 +40,10 @@ struct Table {
 /// One connection.
 struct Peer {
     network: Network,
+    /// Time at which it was admitted.
+    came: Instant,
+    /// Whether it has ever made a request.
+    has_asked: bool,
     /// Number of requests that are not answered to the end.
     requests: usize,
     /// Size of its answers that were not taken yet.
@@ -75,14 +82,15 @@ struct Unsent {
 }
 
 impl Connections {
-    /// Gives a new connection a place; `None` if every place is taken by a connection with a request or an unsent answer.
+    /// Gives a new connection a place; `None` if every place is taken by a connection with a request or an unsent answer, or by one
+    /// that is as new.
     pub(super) fn admit(self: &Arc<Self>, address: IpAddr) -> Option<Arc<ConnectionSlot>> {
-        let network = Network::of(address);
+        let (network, now) = (Network::of(address), Instant::now());
         let mut table = self.table();
         let of_network = table.peers.values().filter(|peer| peer.network == network).count();
         let is_crowd = network != Network::ThisMachine && of_network >= MAX_PER_ADDRESS;
         if is_crowd || table.peers.len() >= MAX_CONNECTIONS {
-            let idlest = table.find_idlest(is_crowd.then_some(network))?;
+            let idlest = table.find_idlest(is_crowd.then_some(network), now)?;
             table.disconnect(idlest);
         }
         let number = table.next;
@@ -90,9 +98,11 @@ impl Connections {
         let gone = Arc::new(Notify::new());
         let peer = Peer {
             network,
+            came: now,
+            has_asked: false,
             requests: 0,
             unsent_bytes: 0,
-            reading_since: Instant::now(),
+            reading_since: now,
             taken_bytes: 0,
             gone: Arc::clone(&gone),
         };
@@ -118,13 +128,14 @@ impl Connections {
 impl Table {
     /// Finds the connection that its client needs least, of one network or of all.
     ///
-    /// It has no request and no unsent answer; of these, it is the oldest one of the network with the most connections.
-    fn find_idlest(&self, of: Option<Network>) -> Option<u64> {
+    /// It has no request and no unsent answer, and had time for a request; of these, it is the oldest one of the network with the most
+    /// connections.
+    fn find_idlest(&self, of: Option<Network>, now: Instant) -> Option<u64> {
         let mut counts: BTreeMap<Network, usize> = BTreeMap::new();
         for peer in self.peers.values() {
             *counts.entry(peer.network).or_insert(0) += 1;
         }
-        let idle = self.peers.iter().filter(|(_, peer)| peer.requests == 0 && peer.unsent_bytes == 0);
+        let idle = self.peers.iter().filter(|(_, peer)| peer.is_idle(now));
         let idle = idle.filter(|(_, peer)| of.is_none_or(|network| peer.network == network));
         let first = idle.max_by_key(|(number, peer)| (counts.get(&peer.network), core::cmp::Reverse(**number)));
         first.map(|(number, _)| *number)
@@ -148,11 +159,20 @@ impl Table {
     }
 }
 
+impl Peer {
+    /// Whether it has nothing to wait for, and no first request on its way.
+    fn is_idle(&self, now: Instant) -> bool {
+        let may_ask_yet = !self.has_asked && now.saturating_duration_since(self.came) < MIN_SILENCE;
+        self.requests == 0 && self.unsent_bytes == 0 && !may_ask_yet
+    }
+}
+
 impl ConnectionSlot {
     /// Begins a request.
     pub(super) fn request(self: &Arc<Self>) -> ActiveRequest {
         if let Some(peer) = self.connections.table().peers.get_mut(&self.number) {
             peer.requests += 1;
+            peer.has_asked = true;
         }
         ActiveRequest(Arc::clone(self))
     }
@@ -242,6 +262,13 @@ mod tests {
         !slot.connections.table().peers.contains_key(&slot.number)
     }
 
+    /// Lets all connections be silent for longer than a first request may take.
+    fn age(connections: &Connections) {
+        for peer in connections.table().peers.values_mut() {
+            peer.came -= 2 * MIN_SILENCE;
+        }
+    }
+
     fn address(number: u8) -> IpAddr {
         [192, 168, 0, number].into()
     }
@@ -253,6 +280,8 @@ mod tests {
         let connections = Arc::<Connections>::default();
         let slots: Vec<_> = (0..MAX_CONNECTIONS).map(|_| connections.admit(HERE).expect("a place")).collect();
         let asked: Vec<_> = slots[..2].iter().map(ConnectionSlot::request).collect();
+        assert!(connections.admit(HERE).is_none(), "their first requests may be on their way");
+        age(&connections);
         let newcomer = connections.admit(HERE).expect("a place");
         let away: Vec<usize> = (0..slots.len()).filter(|i| is_away(&slots[*i])).collect();
         assert_eq!((away, connections.len()), (vec![2], MAX_CONNECTIONS));
@@ -271,6 +300,7 @@ mod tests {
         assert!(connections.admit(HERE).is_none());
         let held = slots[7].hold(vec![0; 10]).expect("room");
         drop(asked);
+        age(&connections);
         let _newcomers: Vec<_> = (0..MAX_CONNECTIONS - 1).map(|_| connections.admit(HERE).expect("a place")).collect();
         assert!(!is_away(&slots[7]) && connections.len() == MAX_CONNECTIONS, "it has not taken all of its answer");
         drop(held);
@@ -282,6 +312,7 @@ mod tests {
     fn one_address_has_its_share_and_loses_its_own_connections_first() {
         let connections = Arc::<Connections>::default();
         let many: Vec<_> = (0..MAX_PER_ADDRESS).map(|_| connections.admit(address(1)).expect("a place")).collect();
+        age(&connections);
         let other = connections.admit(address(2)).expect("a place");
         let one_more = connections.admit(address(1)).expect("a place");
         assert!(is_away(&many[0]) && !is_away(&other) && !is_away(&one_more));

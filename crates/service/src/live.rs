@@ -1,11 +1,17 @@
 //! A robot that is watched while it records, as the page shows it.
 
 use std::fmt::Debug;
+use std::sync::Arc;
 
+use hyper::StatusCode;
+use jpeg_encoder::ColorType;
 use serde_json::{Value, json};
 
 use super::HttpProblem;
-use hyper::StatusCode;
+use realitysim_log_input::{decode, encode};
+use realitysim_ros2::mcap_read::{Channel, LogMessage};
+use realitysim_ros2::messages::{CompressedImage, Header, Message};
+use realitysim_vision::Reduction;
 
 /// A recorder on a robot. How it is reached is no business of the service.
 pub trait LiveRobot: Debug + Send + Sync {
@@ -31,21 +37,55 @@ pub(super) fn state(robot: Option<&dyn LiveRobot>) -> Value {
     state
 }
 
+/// Which picture of the robot a client wants.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PictureRequest {
+    /// The frame whose tag has this number; `None` for the latest.
+    pub(super) sequence: Option<u32>,
+    /// Largest width, pixels: a thin link carries no more. `None` for the image as the camera made it.
+    pub(super) width: Option<u32>,
+    /// Quality of a JPEG that is made smaller, 1 to 100.
+    pub(super) quality: u8,
+}
+
+/// Largest factor by which a picture is made smaller.
+const MAX_REDUCTION: usize = 8;
+
 /// Returns a frame's image and its media type.
 pub(super) fn picture(
     robot: Option<&dyn LiveRobot>,
-    sequence: Option<u32>,
+    wanted: PictureRequest,
 ) -> Result<(Vec<u8>, &'static str), HttpProblem> {
-    let none = || match sequence {
+    let none = || match wanted.sequence {
         Some(number) => HttpProblem::new(
             StatusCode::NOT_FOUND,
             format!("the picture of frame {number} is not here, or not any more"),
         ),
         None => HttpProblem::new(StatusCode::NOT_FOUND, "there is no picture: /v1/live says why"),
     };
-    let picture = robot.and_then(|robot| robot.picture(sequence)).ok_or_else(none)?;
+    let picture = robot.and_then(|robot| robot.picture(wanted.sequence)).ok_or_else(none)?;
+    if let Some(width) = wanted.width
+        && let Some(smaller) = reduced(&picture, width as usize, wanted.quality)
+    {
+        return Ok((smaller, "image/jpeg"));
+    }
     let media_type = if picture.starts_with(b"\x89PNG") { "image/png" } else { "image/jpeg" };
     Ok((picture, media_type))
+}
+
+/// Makes a JPEG of at most some width, by a whole factor. `None` if the image is not wider, or does not decode: then it is shown as it is.
+fn reduced(image: &[u8], max_width: usize, quality: u8) -> Option<Vec<u8>> {
+    let channel = Arc::new(Channel::of::<CompressedImage>(0, "image", Default::default()));
+    let image = CompressedImage { header: Header::default(), format: String::new(), data: image.to_vec() };
+    let message = LogMessage { channel, sequence: 0, log_time_ns: 0, publish_time_ns: 0, data: image.encode() };
+    let whole = decode::picture(&message).ok()?;
+    let factor = whole.width.div_ceil(max_width.max(1)).min(MAX_REDUCTION);
+    if factor < 2 {
+        return None;
+    }
+    let mut room = Reduction::default();
+    let small = whole.reduced(factor, &mut room);
+    encode::jpeg(&small.to_rgb(), small.width, small.height, ColorType::Rgb, quality).ok()
 }
 
 /// Gives the robot the order of a body, `{"order": "mark goal"}`, and returns its answer.

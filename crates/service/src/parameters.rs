@@ -6,6 +6,7 @@ use glam::DVec3;
 use serde_json::Value;
 
 use super::HttpProblem;
+use super::live::PictureRequest;
 use realitysim_geometry::{Euler, Isometry};
 use realitysim_views::{MAX_FAR_M, MAX_HEIGHT_M, MAX_PLACE_M, MAX_TURN_DEG, MIN_HEIGHT_M, Method};
 
@@ -189,6 +190,16 @@ impl Parameters {
             }
         }
         Ok(found)
+    }
+
+    /// Checks the parameters of a picture of the robot that is watched.
+    pub(super) fn live_picture(&self) -> Result<PictureRequest, HttpProblem> {
+        self.only(&["sequence", "width", "quality"])?;
+        Ok(PictureRequest {
+            sequence: self.whole("sequence", 0, u32::MAX)?,
+            width: self.whole("width", MIN_SIDE, MAX_SIDE)?,
+            quality: self.whole("quality", 1, 100)?.map_or(DEFAULT_QUALITY, |quality| quality as u8),
+        })
     }
 
     /// Checks all parameters of a view.

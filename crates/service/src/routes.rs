@@ -131,7 +131,7 @@ async fn dispatch(
             parameters.only(&[])?;
             Ok(json_reply(&live::state(service.live.as_deref())))
         }
-        "/v1/live/frame" => live_frame(service, slot, &parameters),
+        "/v1/live/frame" => live_frame(service, slot, &parameters).await,
         "/v1/live/order" => live_order(service, &parameters, request).await,
         "/metrics" => Ok(bytes(StatusCode::OK, "text/plain; version=0.0.4", metrics(service))),
         _ => Ok(bytes(StatusCode::OK, "application/json", OPENAPI)),
@@ -229,10 +229,15 @@ async fn coverage(
 }
 
 /// Answers with a picture of the robot that is watched.
-fn live_frame(service: &Service, slot: &Arc<ConnectionSlot>, parameters: &Parameters) -> Result<Reply, HttpProblem> {
-    parameters.only(&["sequence"])?;
-    let sequence = parameters.whole("sequence", 0, u32::MAX)?;
-    let (content, kind) = live::picture(service.live.as_deref(), sequence)?;
+async fn live_frame(
+    service: &Arc<Service>,
+    slot: &Arc<ConnectionSlot>,
+    parameters: &Parameters,
+) -> Result<Reply, HttpProblem> {
+    let wanted = parameters.live_picture()?;
+    let shared = Arc::clone(service);
+    let work = move || live::picture(shared.live.as_deref(), wanted);
+    let (content, kind) = service.admission.enter().await?.run(work).await??;
     Ok(bytes(StatusCode::OK, kind, hold_answer(slot, content)?))
 }
 

@@ -11,9 +11,10 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use thiserror::Error;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime::Builder;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 use tokio::time::{sleep, timeout};
 
 use super::Service;
@@ -97,6 +98,10 @@ const LOOK_FOR_STOP_EVERY: Duration = Duration::from_millis(100);
 const LOOK_FOR_LAST_EVERY: Duration = Duration::from_millis(20);
 /// Smallest number of characters of a token.
 const MIN_TOKEN_CHARS: usize = 16;
+/// Largest number of clients without a place that are told so at one time; further ones are hung up on.
+const MAX_REFUSALS: usize = 256;
+/// Longest time that a refused client has to take its answer.
+const MAX_REFUSAL_TIME: Duration = Duration::from_secs(2);
 /// Answer to a client for which there is no free connection.
 const NO_CONNECTION_FREE: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 1\r\nConnection: close\r\nContent-Length: 0\r\n\r\n";
@@ -140,6 +145,7 @@ pub fn serve(
         let changes = tokio::spawn(follow_changes(Arc::clone(&service), say));
         let connections = Arc::clone(&service.connections);
         let (end, ended) = watch::channel(false);
+        let refusals = Arc::new(Semaphore::new(MAX_REFUSALS));
         loop {
             tokio::select! {
                 () = wait_for_stop(stop) => break,
@@ -147,8 +153,7 @@ pub fn serve(
                     Some(slot) => {
                         tokio::spawn(serve_connection(Arc::clone(&service), guard.clone(), stream, slot, ended.clone()));
                     }
-                    // The answer is sent only if the socket takes it at once.
-                    None => drop(stream.try_write(NO_CONNECTION_FREE)),
+                    None => refuse(stream, &refusals),
                 },
             }
         }
@@ -174,6 +179,25 @@ async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
             Err(_) => sleep(LOOK_FOR_STOP_EVERY).await,
         }
     }
+}
+
+/// Tells a client that there is no place for it.
+///
+/// What it sends is read meanwhile: closing a socket with unread bytes resets the connection, and the answer is lost.
+fn refuse(mut stream: TcpStream, refusals: &Arc<Semaphore>) {
+    let Ok(permit) = Arc::clone(refusals).try_acquire_owned() else { return };
+    tokio::spawn(async move {
+        let telling = async {
+            stream.write_all(NO_CONNECTION_FREE).await?;
+            stream.shutdown().await?;
+            let mut unread = [0; 1024];
+            while stream.read(&mut unread).await? > 0 {}
+            std::io::Result::Ok(())
+        };
+        // A client that does not listen is not waited for.
+        let _ = timeout(MAX_REFUSAL_TIME, telling).await;
+        drop(permit);
+    });
 }
 
 /// Serves one connection until it is closed, its place is needed, or the service ends.

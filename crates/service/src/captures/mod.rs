@@ -10,6 +10,7 @@ mod tag_arrays;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
+use std::time::Duration;
 
 use hyper::StatusCode;
 use serde_json::{Value, json};
@@ -17,7 +18,7 @@ use serde_json::{Value, json};
 use super::HttpProblem;
 pub(super) use piece::MAX_PIECE_S;
 use realitysim_recording::sessions::sessions_in;
-use realitysim_recording::{ManifestLine, Session};
+use realitysim_recording::{ACTIVE, ManifestLine, Session};
 use scan::Capture;
 
 /// The folder of captures that the service shows, if one was named.
@@ -29,6 +30,9 @@ pub(super) struct Captures {
     long_work: Mutex<()>,
 }
 
+/// Time since the last write after which a segment without an end is one that nobody writes any more: a recorder writes several times a
+/// second.
+const MAX_WRITING_AGE: Duration = Duration::from_secs(30);
 /// Largest number of captures whose tags are held in memory.
 const MAX_CAPTURES: usize = 4;
 
@@ -150,8 +154,27 @@ fn summary(session: &Session) -> Value {
         "valid": sum(|line| line.frames.valid),
         "bytes": session.segments.values().fold(0_u64, |sum, bytes| sum.saturating_add(*bytes)),
         "open": session.open,
+        "recording": is_being_recorded(session),
+        "missing": session.missing().count() as u64 + session.doubted,
         "pinned": session.pinned,
     })
+}
+
+/// Whether a segment of the session is being written, rather than left unfinished.
+fn is_being_recorded(session: &Session) -> bool {
+    session.open && open_segment(&session.folder).is_some_and(|(_, age)| age < MAX_WRITING_AGE)
+}
+
+/// Returns the name of the segment without an end that was written last, and the time since then.
+fn open_segment(folder: &Path) -> Option<(String, Duration)> {
+    let entries = std::fs::read_dir(folder).ok()?.flatten();
+    let open = entries.filter_map(|entry| {
+        let name = entry.file_name().into_string().ok().filter(|name| name.ends_with(ACTIVE))?;
+        let written = entry.metadata().ok()?.modified().ok()?;
+        // A clock that was set back makes files of the future: they were written just now.
+        Some((name, written.elapsed().unwrap_or_default()))
+    });
+    open.min_by_key(|(_, age)| *age)
 }
 
 fn last_part(path: &Path) -> String {

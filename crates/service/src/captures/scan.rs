@@ -5,12 +5,12 @@ use std::path::PathBuf;
 
 use serde_json::{Value, json};
 
-use super::{last_part, unreadable};
+use super::{is_being_recorded, last_part, unreadable};
 use crate::HttpProblem;
 use realitysim_geometry::{Field, Lens};
 use realitysim_log_input::decode;
 use realitysim_log_input::log::{self, LogSource};
-use realitysim_recording::{Session, SessionInfo, losses, read_info};
+use realitysim_recording::{ACTIVE, Session, SessionInfo, losses, read_info};
 use realitysim_ros2::mcap_read::{LogMessage, Selection};
 use realitysim_ros2::messages::{DiagnosticArray, DiagnosticStatus, FrameTag, Message};
 use realitysim_ros2::topics::{DIAGNOSTICS, DIAGNOSTICS_PREFIX, FRAME_TAG};
@@ -135,7 +135,13 @@ impl Capture {
             frame.image = images.get_mut(&frame.stamp_ns).and_then(VecDeque::pop_front);
         }
         let lost = losses(&session.folder, log.damage());
-        capture.lost = lost.iter().map(|loss| without_folder(&loss.to_string(), session)).collect();
+        let mut lost: Vec<String> = lost.iter().map(|loss| without_folder(&loss.to_string(), session)).collect();
+        if is_being_recorded(session) {
+            // The segment that is being written has no end yet, which is no loss.
+            lost.retain(|loss| !loss.contains(ACTIVE));
+            lost.insert(0, "it is being recorded".to_owned());
+        }
+        capture.lost = lost;
         Ok(capture)
     }
 
