@@ -205,7 +205,9 @@ fn a_robot_carried_to_a_view_like_another_is_not_believed_to_be_there() {
         ("kid-2020", walk("[[4.443, -1.231], [3.34, -2.093]]", 0.2), carried, 3.4, &[1401, 1403, 1410][..]),
         ("kid-2014", walk("[[1.076, -0.571], [1.669, -0.942]]", 0.1), put, 3.2, &[1400, 1401, 1403, 1410, 1414]),
     ] {
-        for seed in seeds {
+        // A walk of each in short, which continuous integration runs.
+        let count = if std::env::var_os("CI").is_some() { 1 } else { seeds.len() };
+        for seed in &seeds[..count] {
             let moves = format!("{SWAY}{kidnapping}");
             let scene = scene(field, "wide-640", TOLD, &route, &moves, ODOMETRY_ERROR);
             let (room, replayed) = replayed(field, scene.replace("seed = 63", &format!("seed = {seed}")));

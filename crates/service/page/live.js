@@ -50,6 +50,7 @@ function allow(connected) {
 
 async function take() {
   at('live-frame').hidden = !state.frame;
+  at('live-map-pane').hidden = !state.watched;
   if (!state.watched) {
     allow(false);
     tell('No robot is watched: `realitysim live user@host:` does that.');
@@ -235,6 +236,7 @@ export function start(info) {
   at('live-place').addEventListener('click', () => setPlacing(!placing));
   at('live-coverage').addEventListener('change', () => map.show());
   at('live-frame').hidden = true;
+  at('live-map-pane').hidden = true;
   allow(false);
   placeOnMap(at('live-map'));
 }

@@ -302,6 +302,7 @@ export function start(info, keep) {
 }
 
 export function show(parameters) {
+  at('panel-walk').classList.toggle('nothing-served', !map.field);
   if (!map.field) {
     sayOfView('No database is served: start with `--db DIR`.');
     return;
