@@ -184,7 +184,7 @@ fn readers_that_take_nothing_cost_a_bounded_amount_of_memory() {
     let unsent: u64 = unsent.parse().expect("a number");
     assert!((1 << 24..=256 << 20).contains(&unsent), "{unsent} bytes");
     let peak_kb = served.peak_kb();
-    // Forty answers are 671 MB, beside some 300 MB for what is at work.
+    // Forty answers are 671 MB alone, of which 268 MB may wait.
     assert!(peak_kb < 640_000, "{peak_kb} kB");
     assert_eq!(get(served.address, HERE).status, 200);
     drop(deaf);

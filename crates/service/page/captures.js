@@ -211,7 +211,7 @@ async function showFrame(index) {
   at('scrub').value = String(index);
   at('legend').hidden = true;
   const { t_s, valid, reason, reasons, sigma_m } = capture;
-  at('scrub-said').textContent = `frame ${index + 1} of ${t_s.length}, ${t_s[index].toFixed(2)} s`;
+  at('scrub-said').textContent = `frame ${index} (0 to ${t_s.length - 1}), ${t_s[index].toFixed(2)} s`;
   at('frame-said').textContent = valid[index] ? `valid, sigma ${(100 * sigma_m[index]).toFixed(1)} cm` : `invalid: ${reasons[reason[index]]}`;
   at('frame-said').classList.toggle('warn', !valid[index]);
   map.show();

@@ -59,8 +59,9 @@ async function take() {
   if (!state.connected) tell(`${state.robot} is away: ${state.why}`);
   else if (state.no_frame) tell(state.no_frame);
   else tell(state.age_s > 2 ? `the last picture is ${state.age_s.toFixed(0)} s old` : '');
-  // Rows of the map of coverage are drawn on the field.
-  const lines = (state.words ?? []).filter((words) => !words.startsWith('  '));
+  // The map of coverage is drawn on the field instead of in letters.
+  const rows = new Set((state.status?.coverage?.map ?? []).map((row) => `  ${row}`));
+  const lines = (state.words ?? []).filter((words) => !rows.has(words));
   if (at('live-words').dataset.text !== lines.join('\n')) {
     at('live-words').dataset.text = lines.join('\n');
     at('live-words').replaceChildren(...lines.map(item));
@@ -80,7 +81,7 @@ async function take() {
   map.show();
 }
 
-/** The picture of the frame whose tag has this number, as large as the link carries it. */
+/** The picture of a frame, found by the number of its tag, as large as the link carries it. */
 async function pictureOf({ tag, lens }) {
   const { width, quality } = link.fit({ width: lens.width });
   const query = new URLSearchParams({ sequence: tag.sequence, ...(link.isThin ? { width, quality } : {}) });

@@ -162,19 +162,18 @@ fn summary(session: &Session) -> Value {
 
 /// Whether a segment of the session is being written, rather than left unfinished.
 fn is_being_recorded(session: &Session) -> bool {
-    session.open && open_segment(&session.folder).is_some_and(|(_, age)| age < MAX_WRITING_AGE)
+    session.open && last_write_age(&session.folder).is_some_and(|age| age < MAX_WRITING_AGE)
 }
 
-/// Returns the name of the segment without an end that was written last, and the time since then.
-fn open_segment(folder: &Path) -> Option<(String, Duration)> {
-    let entries = std::fs::read_dir(folder).ok()?.flatten();
-    let open = entries.filter_map(|entry| {
-        let name = entry.file_name().into_string().ok().filter(|name| name.ends_with(ACTIVE))?;
-        let written = entry.metadata().ok()?.modified().ok()?;
-        // A clock that was set back makes files of the future: they were written just now.
-        Some((name, written.elapsed().unwrap_or_default()))
-    });
-    open.min_by_key(|(_, age)| *age)
+/// Returns the time since a segment without an end was last written.
+fn last_write_age(folder: &Path) -> Option<Duration> {
+    let open = std::fs::read_dir(folder)
+        .ok()?
+        .flatten()
+        .filter(|entry| entry.file_name().to_str().is_some_and(|name| name.ends_with(ACTIVE)));
+    let written = open.filter_map(|entry| entry.metadata().ok()?.modified().ok()).max()?;
+    // A clock that was set back makes files of the future: they were written just now.
+    Some(written.elapsed().unwrap_or_default())
 }
 
 fn last_part(path: &Path) -> String {
