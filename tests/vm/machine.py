@@ -8,6 +8,8 @@ import time
 
 SOCKET = "--socket /run/realitysim/control.sock"
 DATA_MB = 900
+# An emulated machine on a busy host may stand still for a while, which is no fault of what it runs.
+PATIENCE_S = 120
 
 
 def connect(path, patience=30):
@@ -41,7 +43,7 @@ class Machine:
 
     def boot(self):
         folder = self.folder
-        for name in ("s1.sock", "s2.sock", "usb.sock"):
+        for name in ("s1.sock", "s2.sock", "usb.sock", "monitor.sock"):
             if os.path.exists(os.path.join(folder, name)):
                 os.remove(os.path.join(folder, name))
         subprocess.run(["qemu-img", "create", "-q", "-f", "qcow2", "-b", "root.qcow2", "-F", "qcow2", "now.qcow2"],
@@ -50,7 +52,8 @@ class Machine:
         self.qemu = subprocess.Popen(
             ["qemu-system-x86_64", "-M", "pc", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "768",
              "-nodefaults", "-no-reboot", "-display", "none", "-kernel", "vmlinuz", "-initrd", "initrd.gz",
-             "-append", "console=ttyS0 quiet panic=-1 mitigations=off no_timer_check", "-serial", "file:console.log",
+             "-append", "console=ttyS0 quiet panic=-1 mitigations=off no_timer_check unknown_nmi_panic=1",
+             "-monitor", "unix:monitor.sock,server=on,wait=off", "-serial", "file:console.log",
              "-chardev", "socket,id=s1,path=s1.sock,server=on,wait=off", "-serial", "chardev:s1",
              "-chardev", "socket,id=s2,path=s2.sock,server=on,wait=off", "-serial", "chardev:s2",
              "-device", "piix3-usb-uhci,id=usb", "-chardev", "socket,id=u1,path=usb.sock,server=on,wait=off",
@@ -100,11 +103,34 @@ class Machine:
         mark = f"__M{self.count}_"
         self.text = ""
         self.shell.sendall(f"{command}; echo {mark[:3]}''{mark[3:]}$?_\n".encode())
-        answer = self.wait(mark + r"(\d+)_\n", seconds, watch)
+        pattern = mark + r"(\d+)_\n"
+        answer = self.wait(pattern, seconds, watch)
         if not answer:
-            raise SystemExit(f"no answer within {seconds} s to: {command}\n{self.text[-2000:]}")
+            print(f"  no answer within {seconds} s to: {command}\n{self.text[-2000:]}", flush=True)
+            answer = self.wait(pattern, PATIENCE_S, watch)
+            if not answer:
+                raise SystemExit(f"nor within {PATIENCE_S} s more; {self.why_it_stands_still()}")
+            print("  it answered after all", flush=True)
         before, found = answer
         return int(found.group(1)), before.strip()
+
+    def why_it_stands_still(self):
+        """What QEMU's threads did for a second, and the stacks that the kernel prints before it panics of an NMI."""
+        ticks = lambda: {thread: sum(map(int, open(f"/proc/{self.qemu.pid}/task/{thread}/stat").read().rsplit(")")[-1].split()[11:13]))
+                         for thread in os.listdir(f"/proc/{self.qemu.pid}/task")}
+        before = ticks()
+        time.sleep(1)
+        busy = {thread: now - before.get(thread, 0) for thread, now in ticks().items()}
+        with connect(os.path.join(self.folder, "monitor.sock")) as monitor:
+            monitor.sendall(b"info cpus\ninfo status\nnmi\n")
+            time.sleep(10)
+            monitor.settimeout(1)
+            try:
+                said = monitor.recv(65536).decode(errors="replace")
+            except TimeoutError:
+                said = "QEMU's monitor says nothing: its main thread waits for a line that nobody reads"
+        with open(os.path.join(self.folder, "console.log"), errors="replace") as console:
+            return f"hundredths of a second of each thread: {busy}\n{said}\nconsole:\n{console.read()[-6000:]}"
 
     def ok(self, command, seconds=60, watch=None):
         code, text = self.run(command, seconds, watch)

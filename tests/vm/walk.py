@@ -176,13 +176,23 @@ class Microcontroller(threading.Thread):
 
 
 class Relay(threading.Thread):
-    """A wire from one line to the other."""
+    """A wire from one line to the other. What the other sends is read and dropped: QEMU stands still once nobody takes it."""
 
     def __init__(self, source, target):
         super().__init__(daemon=True)
         self.source, self.target = source, target
+        self.drain = threading.Thread(target=self.drop, daemon=True)
+
+    def drop(self):
+        try:
+            while self.target.recv(4096):
+                pass
+        except OSError:
+            # Unplugged.
+            pass
 
     def run(self):
+        self.drain.start()
         try:
             while data := self.source.recv(4096):
                 self.target.sendall(data)
@@ -191,8 +201,10 @@ class Relay(threading.Thread):
             pass
 
     def stop(self):
-        self.source.shutdown(socket.SHUT_RDWR)
+        for line in (self.source, self.target):
+            line.shutdown(socket.SHUT_RDWR)
         self.join(5)
+        self.drain.join(5)
         self.source.close()
         self.target.close()
 

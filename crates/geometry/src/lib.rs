@@ -30,6 +30,7 @@
 pub mod board;
 pub mod field;
 pub mod lens;
+mod monotonic;
 pub mod multiversion;
 pub mod physical;
 pub mod polynomial;

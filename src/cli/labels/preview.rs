@@ -1,10 +1,9 @@
 //! A page of some images with their labels drawn over them.
 
-use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
 
 use super::super::marks::{UPRIGHT, cross, frame_box};
-use crate::evaluation::drawing::panels;
+use crate::evaluation::drawing::{panels, scaled};
 use crate::labels::{Class, Labeller, PosedImage, Visibility};
 use crate::views::Raster;
 
@@ -42,7 +41,7 @@ pub(super) fn preview(labeller: &Labeller, posed: &PosedImage, image: &Raster, c
         cross(&mut picture, keypoint.at, UPRIGHT, CROSS_PX, Rgb(tint));
     }
     let height = (WIDTH_PX * picture.height()).div_ceil(picture.width().max(1));
-    imageops::resize(&picture, WIDTH_PX, height.max(1), FilterType::Triangle)
+    scaled(&picture, WIDTH_PX, height.max(1))
 }
 
 /// The page of all previews.

@@ -7,7 +7,6 @@ use anyhow::Context;
 use clap::Args;
 use glam::{DQuat, DVec3};
 use image::RgbImage;
-use image::imageops::{self, FilterType};
 use jpeg_encoder::ColorType;
 use serde::Serialize;
 
@@ -151,7 +150,7 @@ pub fn run(arguments: &ViewWalkArguments, json: bool) -> anyhow::Result<Outcome>
             let full = RgbImage::from_raw(width as u32, height as u32, rgb).context("a view without pixels")?;
             let high = THUMB_PX * height as u32 / width as u32;
             let words = format!("{:.2}, {:.2}, {:.0} deg", asked.x, asked.y, asked.yaw.to_degrees());
-            thumbs.push((imageops::resize(&full, THUMB_PX, high, FilterType::Triangle), words));
+            thumbs.push((drawing::scaled(&full, THUMB_PX, high), words));
         }
         camera.get_or_insert_with(|| Arc::clone(&shown.camera));
         progress.set(frame as u64 + 1, Some(frames as u64));

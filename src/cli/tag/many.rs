@@ -9,7 +9,6 @@ use std::thread;
 
 use anyhow::Context;
 use image::RgbImage;
-use image::imageops::FilterType;
 use serde::Serialize;
 
 use super::super::import::pictures::names_in;
@@ -312,7 +311,7 @@ fn small_overlay(verdict: &Verdict) -> anyhow::Result<RgbImage> {
         _ => rgb,
     };
     let height_px = (u64::from(SHEET_WIDTH_PX) * u64::from(drawn.height()) / u64::from(drawn.width().max(1))).max(1);
-    Ok(image::imageops::resize(&drawn, SHEET_WIDTH_PX, height_px as u32, FilterType::Triangle))
+    Ok(drawing::scaled(&drawn, SHEET_WIDTH_PX, height_px as u32))
 }
 
 fn words(verdict: &Verdict) -> String {

@@ -2,10 +2,10 @@
 
 use glam::DVec2;
 use image::RgbImage;
-use image::imageops::{self, FilterType};
 
 use super::canvas::{Canvas, Ink};
 use super::overlay::outline;
+use super::scaling::scaled;
 use realitysim_geometry::{Field, Isometry, Lens};
 use realitysim_localization::Evidence;
 use realitysim_localization::refinement::line_measurement::Finding;
@@ -37,7 +37,7 @@ pub fn explanation(
 ) -> RgbImage {
     let times = MIN_WIDTH_PX.div_ceil(picture.width().max(1)).clamp(1, 8);
     let (width, height) = (picture.width() * times, picture.height() * times);
-    let large = imageops::resize(picture, width, height, FilterType::CatmullRom);
+    let large = scaled(picture, width, height);
     let Some(mut canvas) = Canvas::on_top_of(&large) else { return large };
     let scale = f64::from(times);
     // Evidence counts pixels from their centres.

@@ -20,6 +20,7 @@ mod paint;
 mod panels;
 mod plot;
 mod routes;
+mod scaling;
 mod side_by_side;
 mod svg;
 mod tagged_frame;
@@ -33,6 +34,7 @@ pub use field_map::{field_map, route_map};
 pub use field_svg::FieldSvg;
 pub use overlay::{overlay, projected_lines};
 pub use panels::panels;
+pub use scaling::scaled;
 pub use side_by_side::{beside, side_by_side};
 pub use tagged_frame::{FrameSheet, ShownTag};
 

@@ -1,11 +1,12 @@
 //! Two pictures beside each other.
 
 use glam::DVec2;
-use image::imageops::{self, FilterType};
+use image::imageops;
 use image::{Rgb, RgbImage};
 
 use super::canvas::Canvas;
 use super::plot::TEXT;
+use super::scaling::scaled;
 use super::text;
 
 /// Largest width of the page, pixels: fits a README.
@@ -47,8 +48,8 @@ pub fn side_by_side(left: &RgbImage, right: &RgbImage, caption: &str) -> RgbImag
     let mut x = MARGIN_PX;
     for (image, width) in [left, right].into_iter().zip(widths) {
         if image.width() > 0 && image.height() > 0 {
-            let scaled = imageops::resize(image, width, height, FilterType::CatmullRom);
-            imageops::replace(&mut page, &scaled, i64::from(x), i64::from(MARGIN_PX));
+            let picture = scaled(image, width, height);
+            imageops::replace(&mut page, &picture, i64::from(x), i64::from(MARGIN_PX));
         }
         x += width + MARGIN_PX;
     }

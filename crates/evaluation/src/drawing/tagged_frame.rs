@@ -2,13 +2,14 @@
 
 use glam::DVec2;
 use image::RgbImage;
-use image::imageops::{self, FilterType};
+use image::imageops;
 
 use super::canvas::{Canvas, Ink};
 use super::ellipse::Ellipse;
 use super::field_map::{draw_ellipse, field_map};
 use super::overlay::outline;
 use super::plot::{Plot, TEXT};
+use super::scaling::scaled;
 use super::text;
 use realitysim_geometry::{Field, Isometry, Lens};
 
@@ -76,7 +77,7 @@ impl FrameSheet {
         let Some(mut page) = Canvas::filled(width, height + strip, PAGE).map(Canvas::into_image) else {
             return image.clone();
         };
-        let large = imageops::resize(image, width, height, FilterType::CatmullRom);
+        let large = scaled(image, width, height);
         imageops::replace(&mut page, &large, 0, 0);
         imageops::replace(&mut page, &self.map, 0, i64::from(height));
         let Some(mut canvas) = Canvas::on_top_of(&page) else { return page };

@@ -11,6 +11,7 @@
 use glam::{DVec2, DVec3};
 
 use super::{LensError, half_fov};
+use crate::monotonic::find_root;
 use crate::polynomial;
 
 /// A pinhole with distortion, and the largest angle that it draws.
@@ -46,8 +47,6 @@ const MAX_FOV_DEG: f64 = 179.0;
 const MAX_STEPS: usize = 50;
 /// Largest number of times that a Newton step is halved.
 const MAX_HALVINGS: usize = 40;
-/// Largest number of Newton and bisection steps of one inversion of the radial part.
-const MAX_RADIAL_STEPS: usize = 80;
 /// Largest distance of the distorted result from the requested point, in focal lengths: 1e-11 px at 1000 px.
 const TOLERANCE: f64 = 1e-14;
 
@@ -180,26 +179,12 @@ fn limit(fov_deg: Option<f64>, first_turn: impl Fn(f64) -> Option<f64>) -> Resul
     Ok(turn.map_or(limit, |at| at * (1.0 - 1e-6)))
 }
 
-/// Finds the radius from 0 to `end` at which a rising function, given with its slope, has a value: Newton's method guarded by bisection.
+/// Finds the radius from 0 to `end` at which a rising function, given with its slope, has a value.
 fn invert(wanted: f64, end: f64, function: impl Fn(f64) -> [f64; 2]) -> f64 {
-    let (mut low, mut high) = (0.0, end);
-    let mut r = wanted.min(high);
-    for _ in 0..MAX_RADIAL_STEPS {
+    find_root(wanted, end, |r| {
         let [value, slope] = function(r);
-        let miss = value - wanted;
-        if miss > 0.0 {
-            high = r
-        } else {
-            low = r
-        }
-        let newton = r - miss / slope;
-        let next = if newton > low && newton < high { newton } else { low + (high - low) / 2.0 };
-        if (next - r).abs() <= f64::EPSILON * next {
-            break;
-        }
-        r = next;
-    }
-    r
+        [value - wanted, slope]
+    })
 }
 
 impl Distortion {

@@ -5,6 +5,7 @@ use core::f64::consts::PI;
 use glam::{DVec2, DVec3};
 
 use super::{LensError, half_fov};
+use crate::monotonic::find_root;
 use crate::polynomial;
 
 /// A radially symmetric lens, and the largest angle that it draws.
@@ -50,8 +51,6 @@ const MAX_SCARAMUZZA: f64 = 1e6;
 const MAX_SKEW: f64 = 0.1;
 /// Range of beta. Calibrations have 0.1 to 10; sums of a smaller or larger one lose digits.
 const BETA: core::ops::RangeInclusive<f64> = 1e-6..=1e6;
-/// Largest number of steps of one inversion. If every Newton step fell back to bisection, 64 steps would exhaust an f64.
-const MAX_STEPS: usize = 80;
 
 impl Radial {
     /// Makes a Kannala-Brandt lens.
@@ -202,7 +201,7 @@ impl Radial {
         Some(DVec3::new(point.x / r * sin, point.y / r * sin, cos))
     }
 
-    /// Inverts the profile: the angle that is drawn at radius `r`, by Newton's method that never leaves its bracket.
+    /// Inverts the profile: the angle that is drawn at radius `r`.
     fn angle(&self, r: f64) -> Option<f64> {
         if r.is_nan() || r > self.max_radius * (1.0 + 1e-12) {
             return None;
@@ -219,27 +218,10 @@ impl Radial {
                 Some(libm::atan2(sin / root, cos).min(self.max_angle))
             }
             Profile::Scaramuzza { c, .. } => Some(scaramuzza_angle(c, r).min(self.max_angle)),
-            Profile::KannalaBrandt(k) => {
-                let (mut low, mut high) = (0.0, self.max_angle);
-                let mut angle = r.min(high);
-                for _ in 0..MAX_STEPS {
-                    let (value, slope) = kannala_brandt(k, angle);
-                    let miss = value - r;
-                    if miss > 0.0 {
-                        high = angle
-                    } else {
-                        low = angle
-                    }
-                    let newton = angle - miss / slope;
-                    let next = if newton > low && newton < high { newton } else { low + (high - low) / 2.0 };
-                    let moved = (next - angle).abs();
-                    angle = next;
-                    if moved <= f64::EPSILON * angle.max(1e-3) {
-                        break;
-                    }
-                }
-                Some(angle)
-            }
+            Profile::KannalaBrandt(k) => Some(find_root(r, self.max_angle, |angle| {
+                let (value, slope) = kannala_brandt(k, angle);
+                [value - r, slope]
+            })),
         }
     }
 }
@@ -274,30 +256,15 @@ fn scaramuzza_angle(c: &[f64; 5], r: f64) -> f64 {
     libm::atan2(r, scaramuzza(c, r)[0])
 }
 
-/// Inverts [`scaramuzza_angle`] for a radius up to `end`, by Newton's method that never leaves its bracket.
+/// Inverts [`scaramuzza_angle`] for a radius up to `end`.
 ///
 /// The function r cos theta - g(r) sin theta has the sign of the radius' angle less theta, and needs no arc tangent.
 fn scaramuzza_radius(c: &[f64; 5], end: f64, angle: f64) -> f64 {
     let (sin, cos) = libm::sincos(angle);
-    let (mut low, mut high) = (0.0, end);
-    let mut r = angle.min(end);
-    for _ in 0..MAX_STEPS {
+    find_root(angle, end, |r| {
         let [value, slope] = scaramuzza(c, r);
-        let miss = r * cos - value * sin;
-        if miss > 0.0 {
-            high = r
-        } else {
-            low = r
-        }
-        let newton = r - miss / (cos - slope * sin);
-        let next = if newton > low && newton < high { newton } else { low + (high - low) / 2.0 };
-        let moved = (next - r).abs();
-        r = next;
-        if moved <= f64::EPSILON * r {
-            break;
-        }
-    }
-    r
+        [r * cos - value * sin, cos - slope * sin]
+    })
 }
 
 /// The angle phi, seen from the centre of the last sphere, up to which r = sin phi / (alpha + (1 - alpha) cos phi) rises.

@@ -47,17 +47,16 @@ pub fn matches(projector: &Projector, before: &Look, here: &Look, hides: impl Fn
     }
     let rows = (edge..height - edge).step_by(GRID);
     let tried = rows.flat_map(|v| (edge..width - edge).step_by(GRID).map(move |u| (u, v)));
-    let mut textured: Vec<(f64, DVec2)> = tried
-        .map(|(u, v)| DVec2::new(u as f64, v as f64))
-        .filter(|at| !hides(*at))
-        .map(|at| (texture(here.picture, at), at))
+    let mut textured: Vec<(f64, [usize; 2])> = tried
+        .filter(|(u, v)| !hides(DVec2::new(*u as f64, *v as f64)))
+        .map(|(u, v)| (texture(here.picture, [u, v]), [u, v]))
         .filter(|(texture, _)| *texture > MIN_TEXTURE)
         .collect();
     textured.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let found = textured.into_iter().filter_map(|(_, at)| {
-        let seen = PatchMap::new(projector, before, here, at)?;
+    let found = textured.into_iter().filter_map(|(_, pixel)| {
+        let seen = PatchMap::new(projector, before, here, DVec2::from(pixel.map(|value| value as f64)))?;
         let known = !hides(seen.before);
-        known.then(|| seen.find(before.picture, here.picture, at)).flatten()
+        known.then(|| seen.find(before.picture, here.picture, pixel)).flatten()
     });
     found.take(MAX_MATCHES).collect()
 }
@@ -89,7 +88,7 @@ impl PatchMap {
     }
 
     /// Finds where the later image shows the patch of the earlier one.
-    fn find(&self, before: &Picture, here: &Picture, at: DVec2) -> Option<Match> {
+    fn find(&self, before: &Picture, here: &Picture, pixel: [usize; 2]) -> Option<Match> {
         let mut wanted = [0.0; AREA];
         for (value, offset) in wanted.iter_mut().zip(offsets()) {
             *value = gray(before, self.before + self.turn * offset)?;
@@ -97,12 +96,14 @@ impl PatchMap {
         let wanted = Patch::new(wanted)?;
         let mut best = (f64::NEG_INFINITY, DVec2::ZERO);
         for (dx, dy) in (-SEARCH_PX..=SEARCH_PX).flat_map(|dy| (-SEARCH_PX..=SEARCH_PX).map(move |dx| (dx, dy))) {
-            let shift = DVec2::new(f64::from(dx), f64::from(dy));
-            let alike = Patch::at(here, at + shift).map_or(f64::NEG_INFINITY, |patch| patch.correlation(&wanted));
+            let shifted = [pixel[0].wrapping_add_signed(dx as isize), pixel[1].wrapping_add_signed(dy as isize)];
+            let patch = Patch::new(grays(here, shifted));
+            let alike = patch.map_or(f64::NEG_INFINITY, |patch| patch.correlation(&wanted));
             if alike > best.0 {
-                best = (alike, shift);
+                best = (alike, DVec2::new(f64::from(dx), f64::from(dy)));
             }
         }
+        let at = DVec2::from(pixel.map(|value| value as f64));
         let mut shift = best.1;
         for _ in 0..ROUNDS {
             let step = step(here, at + shift, &wanted)?;
@@ -170,11 +171,14 @@ fn step(picture: &Picture, at: DVec2, wanted: &Patch) -> Option<DVec2> {
     (step.is_finite() && step.length() < f64::from(HALF_SIDE)).then_some(step)
 }
 
-/// Smaller eigenvalue of the mean squared gradient around a pixel.
-fn texture(picture: &Picture, at: DVec2) -> f64 {
+/// Smaller eigenvalue of the mean squared gradient around a pixel, which is at least `HALF_SIDE + 1` from the edge.
+fn texture(picture: &Picture, [u, v]: [usize; 2]) -> f64 {
+    let half = HALF_SIDE as usize;
+    let gray = |u: usize, v: usize| f64::from(picture.luma[v * picture.width + u]);
     let [mut a, mut b, mut c] = [0.0; 3];
-    for slope in offsets().filter_map(|offset| gradient(picture, at + offset)) {
-        (a, b, c) = (a + slope.x * slope.x, b + slope.x * slope.y, c + slope.y * slope.y);
+    for (u, v) in (v - half..=v + half).flat_map(|v| (u - half..=u + half).map(move |u| (u, v))) {
+        let (x, y) = ((gray(u + 1, v) - gray(u - 1, v)) / 2.0, (gray(u, v + 1) - gray(u, v - 1)) / 2.0);
+        (a, b, c) = (a + x * x, b + x * y, c + y * y);
     }
     let (mean, half) = ((a + c) / 2.0, (a - c) / 2.0);
     (mean - libm::sqrt(half * half + b * b)) / AREA as f64
@@ -183,6 +187,17 @@ fn texture(picture: &Picture, at: DVec2) -> f64 {
 fn gradient(picture: &Picture, at: DVec2) -> Option<DVec2> {
     let across = |axis: DVec2| Some((gray(picture, at + axis)? - gray(picture, at - axis)?) / 2.0);
     Some(DVec2::new(across(DVec2::X)?, across(DVec2::Y)?))
+}
+
+/// Gray values around a pixel, which is at least `HALF_SIDE` from the edge.
+fn grays(picture: &Picture, [u, v]: [usize; 2]) -> [f64; AREA] {
+    let (side, half) = (2 * HALF_SIDE as usize + 1, HALF_SIDE as usize);
+    let mut values = [0.0; AREA];
+    for (row, line) in values.chunks_exact_mut(side).enumerate() {
+        let from = &picture.luma[(v + row - half) * picture.width + u - half..][..side];
+        line.iter_mut().zip(from).for_each(|(value, gray)| *value = f64::from(*gray));
+    }
+    values
 }
 
 /// Bilinear gray value; `None` outside of the image.

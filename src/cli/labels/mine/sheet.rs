@@ -1,12 +1,11 @@
 //! A page of the images in which the detector is most surely wrong.
 
 use glam::DVec2;
-use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
 
 use super::super::super::marks::{UPRIGHT, cross, frame_box, line, rgb};
 use super::asking::{Asking, Judged};
-use crate::evaluation::drawing::panels;
+use crate::evaluation::drawing::{panels, scaled};
 use crate::labels::{Disagreement, Fault, LabelBox};
 
 /// Name of the page.
@@ -43,7 +42,7 @@ fn picture(asking: &Asking, judged: &Judged) -> anyhow::Result<RgbImage> {
     let small = rgb(image.full())?;
     let scale = f64::from(WIDTH_PX) / f64::from(small.width());
     let height = (f64::from(small.height()) * scale).round().max(1.0) as u32;
-    let mut page = imageops::resize(&small, WIDTH_PX, height, FilterType::Triangle);
+    let mut page = scaled(&small, WIDTH_PX, height);
     let boxes = asking.labeller.landmark_boxes(&posed);
     let keypoints = asking.labeller.keypoints(&posed);
     for landmark in &judged.compared.right {

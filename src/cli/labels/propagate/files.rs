@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use image::imageops::{self, FilterType};
+use image::imageops;
 use image::{Rgb, RgbImage};
 
 use super::super::super::marks::{frame_box, rgb};
@@ -11,7 +11,7 @@ use super::super::posed_images::{IMAGES, PosedImages};
 use super::super::yolo_set::write_yolo_set;
 use super::BoxFormat;
 use super::sightings::{Finding, Sighting};
-use crate::evaluation::drawing::panels;
+use crate::evaluation::drawing::{panels, scaled};
 use crate::labels::coco::{Coco, CocoImage};
 use crate::labels::{SphereBox, yolo};
 use crate::recording::Loss;
@@ -114,7 +114,7 @@ fn cut_out(picture: &RgbImage, found: &SphereBox, colour: [u8; 3]) -> RgbImage {
     let from = (found.from + found.to) / 2.0 - side / 2.0;
     let mut cut = RgbImage::new(side.ceil() as u32, side.ceil() as u32);
     imageops::replace(&mut cut, picture, -(from.x.floor() as i64), -(from.y.floor() as i64));
-    let mut large = imageops::resize(&cut, SIDE_PX, SIDE_PX, FilterType::Triangle);
+    let mut large = scaled(&cut, SIDE_PX, SIDE_PX);
     let scale = f64::from(SIDE_PX) / side.ceil();
     frame_box(&mut large, (found.from - from.floor()) * scale, (found.to - from.floor()) * scale, Rgb(colour));
     large
