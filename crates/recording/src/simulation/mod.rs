@@ -251,7 +251,7 @@ fn a_disk_that_is_full_and_emptied_again_loses_nothing_that_fits() {
 /// The disk comes back with little room, and more has to be written than fits.
 #[test]
 fn a_disk_that_stays_full_has_as_much_as_fits() {
-    for seed in 0..seeds(50) {
+    for seed in 0..seeds(20) {
         let refuses = vec![(0..u64::MAX, Failure::Any(ErrorKind::Other))];
         let mut run = Run::new(seed, Trouble { fails: refuses, ..Trouble::default() });
         run.feed_half();
