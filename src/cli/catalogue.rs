@@ -1,11 +1,11 @@
 //! Command `realitysim catalogue`: keeps a table of all frames as Parquet files.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
 use super::paths::check_output;
-#[cfg(not(feature = "query"))]
 use super::settings::UsageError;
 use super::{Outcome, output};
 use crate::catalogue::{self, Entry, EntryState, Report};
@@ -138,6 +138,37 @@ fn query(catalogue: &Path, sql: &str, json: bool) -> anyhow::Result<Outcome> {
 fn query(catalogue: &Path, _sql: &str, _json: bool) -> anyhow::Result<Outcome> {
     let what = "questions are answered by a program that is built with `--features query`; any other asks DuckDB, Polars or pandas";
     Err(UsageError(format!("{}: {what}", catalogue.display())).into())
+}
+
+/// Whether a condition in SQL holds for any frame of a session, by the session's identity, for all sessions in the catalogue beside
+/// their folder.
+pub(super) fn sessions_where(captures: &Path, condition: &str) -> anyhow::Result<BTreeMap<String, bool>> {
+    let Some(catalogue) = catalogue::catalogue_beside(captures) else {
+        let folder = captures.display();
+        let what =
+            "there is no catalogue beside the folder: `realitysim catalogue rebuild` with `-o catalogue` makes it";
+        return Err(UsageError(format!("--where: {folder}: {what}")).into());
+    };
+    ask_for_sessions(&catalogue, condition)
+}
+
+#[cfg(feature = "query")]
+fn ask_for_sessions(catalogue: &Path, condition: &str) -> anyhow::Result<BTreeMap<String, bool>> {
+    #[derive(serde::Deserialize)]
+    struct Line {
+        session_id: String,
+        holds: bool,
+    }
+    let sql =
+        format!("select session_id, bool_or(coalesce(({condition}), false)) as holds from frames group by session_id");
+    let answer = crate::catalogue_query::query(catalogue, &sql)?.json_lines()?;
+    let lines = answer.lines().map(serde_json::from_str::<Line>);
+    Ok(lines.map(|line| line.map(|line| (line.session_id, line.holds))).collect::<Result<_, _>>()?)
+}
+
+#[cfg(not(feature = "query"))]
+fn ask_for_sessions(catalogue: &Path, _condition: &str) -> anyhow::Result<BTreeMap<String, bool>> {
+    query(catalogue, "", false).map(|_| BTreeMap::new())
 }
 
 fn show(entries: &[Entry], json: bool) -> anyhow::Result<Outcome> {

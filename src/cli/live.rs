@@ -1,9 +1,11 @@
 //! Command `realitysim live`: watches a robot while it records, in a browser.
 
+use std::fs;
 #[cfg(feature = "live")]
 use std::net::Ipv4Addr;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::os::unix::fs::FileTypeExt;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 #[cfg(feature = "live")]
@@ -116,8 +118,10 @@ fn remote_socket(arguments: &LiveArguments) -> Result<RemoteSocket, UsageError> 
     if ssh.is_empty() {
         return Err(UsageError("--ssh names no program".to_owned()));
     }
-    if !source.is_remote() && Path::new(socket).is_dir() {
-        return Err(UsageError(format!("{socket}: it is a folder: name user@host: or the recorder's control socket")));
+    // A socket that is not there yet is waited for.
+    let is_other = |found: &fs::Metadata| !found.file_type().is_socket();
+    if !source.is_remote() && fs::metadata(socket).is_ok_and(|found| is_other(&found)) {
+        return Err(UsageError(format!("{socket}: it is no socket: name user@host: or the recorder's control socket")));
     }
     Ok(RemoteSocket { host: source.host, socket: PathBuf::from(socket), ssh })
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{ArgGroup, Args};
 use serde::Serialize;
 
 use super::paths::cannot_read;
@@ -26,6 +26,7 @@ use crate::views::{FAR_M, MAX_FAR_M};
 /// (docs/howto/page.md). GET /v1/view?x=..&y=..&z=..&yaw_deg=.. gives a picture; /openapi.json says the rest (docs/howto/simulator.md). The database may be
 /// changed meanwhile. Ends with SIGINT or SIGTERM.
 #[derive(Args)]
+#[command(group = ArgGroup::new("served").args(["db", "captures"]).required(true).multiple(true))]
 #[command(after_long_help = concat!(
     "Examples:",
     "\n  realitysim serve --db images/ --captures captures/",
@@ -33,7 +34,7 @@ use crate::views::{FAR_M, MAX_FAR_M};
 ))]
 pub struct ServeArguments {
     /// The database's folder; without it captures alone are shown
-    #[arg(long, value_name = "DIR", required_unless_present = "captures")]
+    #[arg(long, value_name = "DIR")]
     db: Option<PathBuf>,
     /// A folder of captures that the page shows: every session in it
     #[arg(long, value_name = "CAPTURES_DIR")]

@@ -174,6 +174,11 @@ fn converse(slot: &ClientSlot, orders: &Sender<Order>, listeners: &Listeners) ->
             "status" => ControlCommand::Status,
             "mark" if !text.trim().is_empty() => ControlCommand::Mark(text.to_owned()),
             "place" if let Some(place) = parse_place(text) => ControlCommand::Place(place),
+            "place" => {
+                let what = "a place is X,Y,YAW_DEG in metres and degrees, as in place 1,-2,90";
+                writeln!(client, "{}", json!({ "error": what }))?;
+                continue;
+            }
             "start" => ControlCommand::Start,
             "stop" => ControlCommand::Stop,
             "frame" => ControlCommand::Frame(text.trim().parse().ok()),

@@ -12,6 +12,8 @@ mod remote;
 mod session_control;
 mod status;
 #[cfg(feature = "live")]
+mod viewer_connections;
+#[cfg(feature = "live")]
 mod viewer_server;
 mod watchdog;
 mod watched_frame;

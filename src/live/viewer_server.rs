@@ -5,7 +5,7 @@
 //! transforms and status lie on one line of time.
 
 use std::collections::BTreeMap;
-use std::net::{IpAddr, SocketAddr};
+use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -14,6 +14,7 @@ use std::time::{Duration, Instant, SystemTime};
 use foxglove::{Context, FoxgloveError, PartialMetadata, RawChannel, Schema, WebSocketServerHandle};
 
 use super::remote::{RemoteRecorder, WatchedRecorder};
+use super::viewer_connections::ViewerConnections;
 use super::watched_frame::WatchedFrame;
 use crate::ros2::messages::{
     CameraInfo, CompressedImage, DiagnosticArray, DiagnosticStatus, FrameTag, Header, ImageAnnotations, KeyValue,
@@ -27,7 +28,8 @@ use crate::viewer_messages::{
 /// A server of the protocol. Dropping it ends it.
 #[derive(Debug)]
 pub struct ViewerServer {
-    address: SocketAddr,
+    /// Where viewers connect; they are passed on to the server.
+    connections: ViewerConnections,
     server: Option<WebSocketServerHandle>,
     /// Its channels end with it.
     _context: Arc<Context>,
@@ -47,24 +49,22 @@ impl ViewerServer {
     pub fn start(robot: Arc<RemoteRecorder>, listen: SocketAddr, image_topic: &str) -> Result<Self, FoxgloveError> {
         let context = Context::new();
         let channels = Channels::open(&context, image_topic)?;
-        let host = match listen.ip() {
-            IpAddr::V4(host) => host.to_string(),
-            IpAddr::V6(host) => format!("[{host}]"),
-        };
-        let server = context.websocket_server().name("realitysim live").bind(host, listen.port());
+        let loopback = Ipv4Addr::LOCALHOST;
+        let server = context.websocket_server().name("realitysim live").bind(loopback.to_string(), 0);
         let server = server.message_backlog_size(MAX_MESSAGES_BEHIND).start_blocking()?;
-        let address = SocketAddr::new(listen.ip(), server.port());
+        let behind = SocketAddr::from((loopback, server.port()));
+        let connections = ViewerConnections::listen(listen, behind).map_err(FoxgloveError::Bind)?;
         let stop = Arc::<AtomicBool>::default();
         let is_over = Arc::clone(&stop);
         let publish = move || publish(&robot, channels, &is_over);
         let publisher = std::thread::Builder::new().name("viewers".to_owned()).spawn(publish);
         let publisher = Some(publisher.map_err(FoxgloveError::Bind)?);
-        Ok(Self { address, server: Some(server), _context: context, stop, publisher })
+        Ok(Self { connections, server: Some(server), _context: context, stop, publisher })
     }
 
     /// Returns where it listens.
     pub fn address(&self) -> SocketAddr {
-        self.address
+        self.connections.address()
     }
 }
 

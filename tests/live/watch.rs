@@ -144,7 +144,8 @@ fn ssh_forwards_the_socket_of_a_robot() {
 #[test]
 fn a_robot_that_cannot_be_one_is_a_wrong_call() {
     let room = Room::new();
-    for (robot, words) in [("-oProxyCommand=x:", "host"), (".", "it is a folder")] {
+    room.write("frame.jpg", "no socket");
+    for (robot, words) in [("-oProxyCommand=x:", "host"), (".", "it is no socket"), ("frame.jpg", "it is no socket")] {
         room.run(&format!("live --listen 127.0.0.1:0 -- {robot}")).fails(2, &[words]);
     }
     let watch = Watch::of(&room.path(""), &["nobody.invalid:", "--ssh", "false"]);

@@ -7,7 +7,7 @@ use super::support::{CAPTURES, Room, session_name};
 /// The call, its exit code, and what the message says.
 type Wrong = (&'static str, i32, &'static [&'static str]);
 
-const WRONG: [Wrong; 62] = [
+const WRONG: [Wrong; 64] = [
     // Names.
     ("replya log.mcap -o out", 2, &["unrecognized subcommand 'replya'", "replay"]),
     ("replay log.mcap -o out --feild kid-2009", 2, &["--feild", "--field"]),
@@ -39,6 +39,8 @@ const WRONG: [Wrong; 62] = [
     ("view --db db --x 0 --y 0 --z 0 --yaw 0 -o out.png", 2, &["--z", "a number from 0.02 to 20 is needed"]),
     ("view --db db --x 0 --y 0 --z 1 --yaw 0 -o out.png --width 9", 2, &["a whole number from 16 to 4096 is needed"]),
     ("record -o out --threads 100", 2, &["--threads", "a whole number from 1 to 64 is needed"]),
+    ("sessions list --captures . --where valid", 2, &["--where", "realitysim catalogue rebuild"]),
+    ("serve", 2, &["--db", "--captures"]),
     ("serve --db db --listen 80", 2, &["--listen", "an address and a port are needed, as in 127.0.0.1:8765"]),
     ("serve --db db --threads 65", 2, &["a whole number from 1 to 64 is needed"]),
     ("tag picture.jpg --lens fisheye-640 --attitude 0,20 --height x", 2, &["--height", "a number is needed"]),

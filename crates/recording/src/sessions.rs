@@ -21,7 +21,7 @@ use super::repair::{COPY, JOURNAL_FILE, is_damaged_name};
 use super::retention::{Evicted, evicted_segments};
 use super::segment::{ACTIVE, is_segment_name};
 pub use super::storage::Kind;
-use super::storage::{Disk, Storage, read_whole};
+use super::storage::{Disk, Listed, Storage, read_whole};
 
 /// Something that was found and is not used.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -111,6 +111,15 @@ pub fn sessions_in(captures: &Path) -> io::Result<(Vec<Session>, Vec<SetAside>)>
     sessions_on(&Disk, captures)
 }
 
+/// Reads the session of this name in a folder of captures, and no other; `None` if there is none.
+///
+/// The name is looked up among the folder's entries: it is never made a part of a path, so that it may come from a stranger.
+pub fn session_named(captures: &Path, name: &str) -> io::Result<Option<Session>> {
+    let entry = Disk.list(captures)?.into_iter().find(|entry| entry.name == name);
+    let folder = entry.filter(|entry| may_be_session(entry) && entry.kind != Kind::Link);
+    Ok(folder.and_then(|entry| session_on(&Disk, &captures.join(&entry.name)).ok()))
+}
+
 /// Reads one session; `Err` if the folder is none.
 pub fn session_at(folder: &Path) -> Result<Session, SetAside> {
     session_on(&Disk, folder)
@@ -120,8 +129,7 @@ pub fn session_at(folder: &Path) -> Result<Session, SetAside> {
 pub(super) fn sessions_on(storage: &dyn Storage, captures: &Path) -> io::Result<(Vec<Session>, Vec<SetAside>)> {
     let (mut sessions, mut set_aside) = (Vec::new(), Vec::new());
     for entry in storage.list(captures)? {
-        // Hidden entries belong to this program; plain files are none of its business.
-        if entry.name.starts_with('.') || entry.bytes().is_some() {
+        if !may_be_session(&entry) {
             continue;
         }
         let path = captures.join(&entry.name);
@@ -137,6 +145,11 @@ pub(super) fn sessions_on(storage: &dyn Storage, captures: &Path) -> io::Result<
     sessions.sort_by(|a, b| a.name.cmp(&b.name));
     set_aside.sort();
     Ok((sessions, set_aside))
+}
+
+/// Hidden entries belong to this program; plain files are none of its business.
+fn may_be_session(entry: &Listed) -> bool {
+    !entry.name.starts_with('.') && entry.bytes().is_none()
 }
 
 /// Does the same as [`session_at`] on any storage.

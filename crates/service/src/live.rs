@@ -1,7 +1,6 @@
 //! A robot that is watched while it records, as the page shows it.
 
 use std::fmt::Debug;
-use std::sync::Arc;
 
 use hyper::StatusCode;
 use jpeg_encoder::ColorType;
@@ -9,8 +8,6 @@ use serde_json::{Value, json};
 
 use super::HttpProblem;
 use realitysim_log_input::{decode, encode};
-use realitysim_ros2::mcap_read::{Channel, LogMessage};
-use realitysim_ros2::messages::{CompressedImage, Header, Message};
 use realitysim_vision::Reduction;
 
 /// A recorder on a robot. How it is reached is no business of the service.
@@ -75,10 +72,7 @@ pub(super) fn picture(
 
 /// Makes a JPEG of at most some width, by a whole factor. `None` if the image is not wider, or does not decode: then it is shown as it is.
 fn reduced(image: &[u8], max_width: usize, quality: u8) -> Option<Vec<u8>> {
-    let channel = Arc::new(Channel::of::<CompressedImage>(0, "image", Default::default()));
-    let image = CompressedImage { header: Header::default(), format: String::new(), data: image.to_vec() };
-    let message = LogMessage { channel, sequence: 0, log_time_ns: 0, publish_time_ns: 0, data: image.encode() };
-    let whole = decode::picture(&message).ok()?;
+    let whole = decode::compressed(image).ok()?;
     let factor = whole.width.div_ceil(max_width.max(1)).min(MAX_REDUCTION);
     if factor < 2 {
         return None;

@@ -76,20 +76,23 @@ impl Picture {
         }
         let (triples, _) = pixels.as_chunks::<3>();
         let luma = triples.iter().map(|p| ycbcr(p)[0]).collect();
-        let mut chroma = Chroma::default();
-        for pair in triples.chunks(2 * width) {
+        let half = width.div_ceil(2);
+        let blocks = half * height.div_ceil(2);
+        let (mut blue, mut red) = (vec![0; blocks], vec![0; blocks]);
+        let rows = blue.chunks_exact_mut(half).zip(red.chunks_exact_mut(half));
+        for (pair, (blue, red)) in triples.chunks(2 * width).zip(rows) {
             let (upper, lower) = pair.split_at(width);
             // The last row or column of an odd number is paired with itself.
             let lower = if lower.is_empty() { upper } else { lower };
-            for (a, b) in upper.chunks(2).zip(lower.chunks(2)) {
+            for ((a, b), (blue, red)) in upper.chunks(2).zip(lower.chunks(2)).zip(blue.iter_mut().zip(red)) {
                 let [a0, a1, b0, b1] = [&a[0], &a[a.len() - 1], &b[0], &b[b.len() - 1]].map(&ycbcr);
                 let mean = |c: usize| {
                     ((u16::from(a0[c]) + u16::from(a1[c]) + u16::from(b0[c]) + u16::from(b1[c]) + 2) / 4) as u8
                 };
-                chroma.blue.push(mean(1));
-                chroma.red.push(mean(2));
+                (*blue, *red) = (mean(1), mean(2));
             }
         }
+        let chroma = Chroma { blue, red };
         Some(Self { width, height, luma, chroma })
     }
 

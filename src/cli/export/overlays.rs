@@ -8,7 +8,7 @@ use jpeg_encoder::ColorType;
 
 use super::super::explain;
 use super::super::paths::cannot_write;
-use super::frames::{each_frame, own_folder};
+use super::frames::{each_drawn_frame, own_folder};
 use crate::evaluation::drawing::{FrameSheet, ShownTag};
 use crate::geometry::{Field, Isometry, Lens};
 use crate::log_input::{decode, encode};
@@ -23,19 +23,19 @@ const QUALITY: u8 = 92;
 pub(super) fn overlays(capture: &Path, tags: &[FrameTag], folder: &Path) -> anyhow::Result<(usize, Vec<Loss>)> {
     let sheets = TagSheets::new(capture, tags)?;
     own_folder(folder)?;
-    each_frame(capture, tags, &mut |tag, message| {
-        let picture = match sheets.draw(tag, message) {
-            Ok(picture) => picture,
-            Err(error) => return Ok(Err(error.to_string())),
-        };
-        let path = folder.join(format!("{:06}.jpg", tag.sequence));
-        std::fs::write(&path, jpeg(&picture)?).map_err(|error| cannot_write(&path, error))?;
-        Ok(Ok(()))
-    })
+    each_drawn_frame(
+        capture,
+        tags,
+        |tag, message| sheets.draw(tag, message),
+        |tag, picture| {
+            let path = folder.join(format!("{:06}.jpg", tag.sequence));
+            std::fs::write(&path, picture).map_err(|error| cannot_write(&path, error))
+        },
+    )
 }
 
 /// Returns a picture as a JPEG.
-pub(super) fn jpeg(picture: &RgbImage) -> anyhow::Result<Vec<u8>> {
+fn jpeg(picture: &RgbImage) -> anyhow::Result<Vec<u8>> {
     let (width, height) = picture.dimensions();
     Ok(encode::jpeg(picture, width as usize, height as usize, ColorType::Rgb, QUALITY)?)
 }
@@ -60,12 +60,12 @@ impl TagSheets {
         Ok(Self { sheet, first_ns })
     }
 
-    /// Draws a frame with its tag. A picture that does not decode is an error.
-    pub(super) fn draw(&self, tag: &FrameTag, message: &LogMessage) -> anyhow::Result<RgbImage> {
+    /// Draws a frame with its tag, as a JPEG. A picture that does not decode is an error.
+    pub(super) fn draw(&self, tag: &FrameTag, message: &LogMessage) -> anyhow::Result<Vec<u8>> {
         let picture = decode::picture(message)?;
         let (width, height) = (picture.width as u32, picture.height as u32);
         let image = RgbImage::from_raw(width, height, picture.to_rgb()).context("its pixels do not fit its size")?;
-        Ok(self.sheet.draw(&image, &self.shown(tag)))
+        jpeg(&self.sheet.draw(&image, &self.shown(tag)))
     }
 
     fn shown(&self, tag: &FrameTag) -> ShownTag {

@@ -9,9 +9,10 @@ use anyhow::bail;
 
 use super::super::paths::check_old;
 use super::super::settings::UsageError;
-use super::frames::each_frame;
-use super::overlays::{TagSheets, jpeg};
+use super::frames::each_drawn_frame;
+use super::overlays::TagSheets;
 use crate::recording::Loss;
+use crate::ros2::mcap_read::LogMessage;
 use crate::ros2::messages::FrameTag;
 
 /// Names of files that ffmpeg is asked for: formats for video that players and browsers show.
@@ -27,13 +28,8 @@ pub(super) fn video(capture: &Path, tags: &[FrameTag], path: &Path) -> anyhow::R
     check_old(path, is_video)?;
     let sheets = TagSheets::new(capture, tags)?;
     let mut encoder = Encoder::start(path, rate_hz(tags))?;
-    let written = each_frame(capture, tags, &mut |tag, message| match sheets.draw(tag, message) {
-        Ok(picture) => {
-            encoder.write(&jpeg(&picture)?)?;
-            Ok(Ok(()))
-        }
-        Err(error) => Ok(Err(error.to_string())),
-    });
+    let draw = |tag: &FrameTag, message: &LogMessage| sheets.draw(tag, message);
+    let written = each_drawn_frame(capture, tags, draw, |_, picture| encoder.write(&picture));
     let written = match written {
         Ok(written) => written,
         Err(error) => {

@@ -2,7 +2,7 @@
 //! the corner of the picture.
 
 use glam::DVec2;
-use image::{Rgb, RgbImage};
+use image::RgbImage;
 use tiny_skia::{Color, FillRule, LineCap, LineJoin, Mask, Paint, Path, PathBuilder, Pixmap, Rect, Stroke, Transform};
 
 use super::text;
@@ -72,18 +72,33 @@ impl Canvas {
 
     /// Returns a canvas with an image; `None` for an image without pixels.
     pub(super) fn on_top_of(image: &RgbImage) -> Option<Self> {
-        let mut pixmap = Pixmap::new(image.width(), image.height())?;
-        for (to, Rgb([r, g, b])) in pixmap.data_mut().chunks_exact_mut(4).zip(image.pixels()) {
-            to.copy_from_slice(&[*r, *g, *b, 255]);
+        let mut canvas = Self { pixmap: Pixmap::new(image.width(), image.height())?, clip: None };
+        canvas.place(image, [0, 0]);
+        Some(canvas)
+    }
+
+    /// Draws an image with its upper left corner at a pixel. What lies beyond the canvas is left out.
+    pub(super) fn place(&mut self, image: &RgbImage, [left, top]: [u32; 2]) {
+        let columns = image.width().min(self.pixmap.width().saturating_sub(left)) as usize;
+        let (from, to) = (3 * image.width().max(1) as usize, 4 * self.pixmap.width() as usize);
+        let rows = self.pixmap.data_mut().chunks_exact_mut(to).skip(top as usize);
+        for (row, image_row) in rows.zip(image.as_raw().chunks_exact(from)) {
+            let Some(row) = row.get_mut(4 * left as usize..) else { return };
+            let (pixels, _) = row.as_chunks_mut::<4>();
+            let (colours, _) = image_row.as_chunks::<3>();
+            for (to, [r, g, b]) in pixels[..columns].iter_mut().zip(colours) {
+                *to = [*r, *g, *b, 255];
+            }
         }
-        Some(Self { pixmap, clip: None })
     }
 
     pub(super) fn into_image(self) -> RgbImage {
         let mut image = RgbImage::new(self.pixmap.width(), self.pixmap.height());
         // The canvas is opaque throughout, so premultiplied and plain colours are the same.
-        for (to, from) in image.pixels_mut().zip(self.pixmap.data().chunks_exact(4)) {
-            to.0.copy_from_slice(&from[..3]);
+        let (colours, _) = image.as_chunks_mut::<3>();
+        let (pixels, _) = self.pixmap.data().as_chunks::<4>();
+        for (to, [r, g, b, _]) in colours.iter_mut().zip(pixels) {
+            *to = [*r, *g, *b];
         }
         image
     }
@@ -193,4 +208,25 @@ fn circle(centre: DVec2, radius: f64) -> Option<Path> {
 /// Moves a point to where the rasteriser can count.
 fn clamp_to_range(point: DVec2) -> DVec2 {
     point.clamp(DVec2::splat(-MAX_COORDINATE_PX), DVec2::splat(MAX_COORDINATE_PX))
+}
+
+#[cfg(test)]
+mod tests {
+    use image::Rgb;
+
+    use super::*;
+
+    #[test]
+    fn an_image_is_placed_as_far_as_it_lies_on_the_canvas() {
+        let image = RgbImage::from_fn(3, 2, |x, y| Rgb([x as u8, y as u8, 7]));
+        for [left, top] in [[0, 0], [1, 1], [2, 2], [4, 0], [9, 9], [0, 3]] {
+            let mut canvas = Canvas::filled(4, 3, [200; 3]).expect("it has pixels");
+            canvas.place(&image, [left, top]);
+            for (x, y, pixel) in canvas.into_image().enumerate_pixels() {
+                let inside = (left..left + 3).contains(&x) && (top..top + 2).contains(&y);
+                let wanted = if inside { *image.get_pixel(x - left, y - top) } else { Rgb([200; 3]) };
+                assert_eq!(*pixel, wanted, "({x}, {y}) at {left}, {top}");
+            }
+        }
+    }
 }

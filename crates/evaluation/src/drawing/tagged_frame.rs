@@ -2,7 +2,6 @@
 
 use glam::DVec2;
 use image::RgbImage;
-use image::imageops;
 
 use super::canvas::{Canvas, Ink};
 use super::ellipse::Ellipse;
@@ -74,13 +73,9 @@ impl FrameSheet {
         let times = MIN_WIDTH_PX.div_ceil(image.width().max(1)).clamp(1, 8);
         let (width, height) = (image.width() * times, image.height() * times);
         let strip = self.strip_height();
-        let Some(mut page) = Canvas::filled(width, height + strip, PAGE).map(Canvas::into_image) else {
-            return image.clone();
-        };
-        let large = scaled(image, width, height);
-        imageops::replace(&mut page, &large, 0, 0);
-        imageops::replace(&mut page, &self.map, 0, i64::from(height));
-        let Some(mut canvas) = Canvas::on_top_of(&page) else { return page };
+        let Some(mut canvas) = Canvas::filled(width, height + strip, PAGE) else { return image.clone() };
+        canvas.place(&scaled(image, width, height), [0, 0]);
+        canvas.place(&self.map, [0, height]);
         let size = DVec2::new(f64::from(width), f64::from(height));
         canvas.clip_to(DVec2::ZERO, size);
         let lines = outline(size, &self.lens, &tag.map_from_camera, &self.field);

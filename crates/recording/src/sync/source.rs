@@ -27,7 +27,8 @@ impl Source {
             }
             return Ok(Self { host: None, folder: text.to_owned() });
         };
-        if host.is_empty() || host.starts_with('-') || host.chars().any(|c| c.is_whitespace() || c.is_control()) {
+        let names_nobody = host.is_empty() || host.starts_with(['-', '@']) || host.ends_with('@');
+        if names_nobody || host.chars().any(|c| c.is_whitespace() || c.is_control()) {
             return refused("what stands before the colon must be a host, as for ssh");
         }
         if folder.starts_with(':') {
@@ -92,7 +93,7 @@ mod tests {
         assert_eq!(source("/media/stick/a:b"), some("", "/media/stick/a:b"));
         assert_eq!(source("./robot:"), some("", "./robot:"));
         assert_eq!(source("captures"), some("", "captures"));
-        for text in ["", ":x", "-oProxyCommand=x:y", "--rsh", "a b:c", "robot::module"] {
+        for text in ["", ":x", "-oProxyCommand=x:y", "--rsh", "a b:c", "robot::module", "nao@:", "@robot:x"] {
             assert_eq!(source(text), None, "{text}");
         }
     }

@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 
 use super::HttpProblem;
 pub(super) use piece::MAX_PIECE_S;
-use realitysim_recording::sessions::sessions_in;
+use realitysim_recording::sessions::{session_named, sessions_in};
 use realitysim_recording::{ACTIVE, ManifestLine, Session};
 use scan::Capture;
 
@@ -103,8 +103,8 @@ impl Captures {
         let Some(folder) = &self.folder else {
             return Err(none("no captures are shown: start the service with --captures DIR".to_owned()));
         };
-        let (sessions, _) = sessions_in(folder).map_err(|error| unreadable(&error.to_string()))?;
-        let session = sessions.into_iter().find(|session| session.name == name);
+        // Of one session: with hundreds of them, reading all manifests for a picture takes longer than the picture.
+        let session = session_named(folder, name).map_err(|error| unreadable(&error.to_string()))?;
         let session = session.ok_or_else(|| none("there is no such capture: /v1/captures lists them".to_owned()))?;
         if let Some(known) = self.known(&session) {
             return Ok(known);

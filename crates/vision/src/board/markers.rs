@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::DVec2;
 
+use super::saddle_grid::SaddleGrid;
 use super::saddles::Saddle;
 use super::{BoardCorner, luma_at};
 use crate::Picture;
@@ -11,6 +12,8 @@ use realitysim_geometry::Board;
 
 /// Corners along each edge of a saddle that are tried as the cell's next one.
 const MAX_NEXT: usize = 8;
+/// Distance within which next corners are looked for first, pixels.
+const FIRST_REACH_PX: f64 = 48.0;
 /// Longest side of a cell, as a share of the picture's width.
 const SIDE_SHARE_LIMIT: f64 = 0.4;
 /// Shortest side of a cell for each of its bits, pixels.
@@ -27,9 +30,10 @@ const WHITE_BORDER_LIMIT: f64 = 0.08;
 const BITS_FOR_AN_ERROR: usize = 17;
 
 /// The corners of all markers that can be read. A corner that two markers see at different saddles is left out.
-pub(super) fn read(picture: &Picture, board: &Board, saddles: &[Saddle]) -> Vec<BoardCorner> {
+pub(super) fn read(picture: &Picture, board: &Board, grid: &SaddleGrid) -> Vec<BoardCorner> {
+    let saddles = grid.saddles();
     let mut found: BTreeMap<usize, Option<(usize, f64)>> = BTreeMap::new();
-    let next = |from: usize, along: DVec2| next_corners(picture, board, saddles, from, along);
+    let next = |from: usize, along: DVec2| next_corners(picture, board, grid, from, along);
     for first in 0..saddles.len() {
         let [one, other] = saddles[first].edges;
         // The edges in the order in which they are met clockwise on the picture, whose y points down.
@@ -38,7 +42,7 @@ pub(super) fn read(picture: &Picture, board: &Board, saddles: &[Saddle]) -> Vec<
             let (seconds, fourths) = (next(first, along), next(first, across));
             for second in &seconds {
                 for fourth in &fourths {
-                    let Some(third) = fourth_corner(saddles, first, *second, *fourth) else { continue };
+                    let Some(third) = fourth_corner(grid, first, *second, *fourth) else { continue };
                     let quad = [first, *second, third, *fourth];
                     let Some(corners) = decode(picture, board, quad.map(|at| saddles[at].pixel)) else { continue };
                     let side = |i: usize| saddles[quad[i]].pixel.distance(saddles[quad[(i + 1) % 4]].pixel);
@@ -59,36 +63,44 @@ pub(super) fn read(picture: &Picture, board: &Board, saddles: &[Saddle]) -> Vec<
 }
 
 /// The nearest saddles along an edge whose own edge leads back.
-fn next_corners(picture: &Picture, board: &Board, saddles: &[Saddle], from: usize, along: DVec2) -> Vec<usize> {
+fn next_corners(picture: &Picture, board: &Board, grid: &SaddleGrid, from: usize, along: DVec2) -> Vec<usize> {
+    let here = grid.saddles()[from].pixel;
     let cell_bits = (board.bits + 2 * board.border_bits) as f64 / (1.0 - 2.0 * board.inset);
     let sides = MIN_BIT_PX * cell_bits..=SIDE_SHARE_LIMIT * picture.width as f64;
-    let mut near: Vec<(f64, usize)> = Vec::new();
-    for (number, saddle) in saddles.iter().enumerate() {
-        let way = saddle.pixel - saddles[from].pixel;
-        let distance = way.length();
+    let leads = |(distance, number): &(f64, usize)| {
+        let saddle = &grid.saddles()[*number];
+        let way = saddle.pixel - here;
         let leads_back = || saddle.edges.iter().any(|edge| edge.dot(way).abs() > MIN_ALIGNED * distance);
-        if sides.contains(&distance) && way.dot(along) > MIN_ALIGNED * distance && leads_back() {
-            near.push((distance, number));
+        sides.contains(distance) && way.dot(along) > MIN_ALIGNED * distance && leads_back()
+    };
+    // Most next corners are near: farther ones are looked for only while too few are found.
+    let mut reach = FIRST_REACH_PX;
+    let mut near: Vec<(f64, usize)> = loop {
+        let reached = reach.min(*sides.end());
+        let near: Vec<(f64, usize)> = grid.within(here, reached).filter(leads).collect();
+        if near.len() >= MAX_NEXT || reached >= *sides.end() {
+            break near;
         }
-    }
-    near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        reach *= 2.0;
+    };
+    near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     near.into_iter().take(MAX_NEXT).map(|(_, number)| number).collect()
 }
 
 /// The saddle that closes the parallelogram best.
-fn fourth_corner(saddles: &[Saddle], first: usize, second: usize, fourth: usize) -> Option<usize> {
+fn fourth_corner(grid: &SaddleGrid, first: usize, second: usize, fourth: usize) -> Option<usize> {
+    let saddles = grid.saddles();
     let [a, b, d] = [first, second, fourth].map(|at| saddles[at].pixel);
     let shorter = a.distance(b).min(a.distance(d));
     let leads = |saddle: &Saddle, to: DVec2| {
         let way = (to - saddle.pixel).normalize_or_zero();
         saddle.edges.iter().any(|edge| edge.dot(way).abs() > MIN_ALIGNED)
     };
-    let near = saddles.iter().enumerate().filter_map(|(number, saddle)| {
-        let off = saddle.pixel.distance(b + d - a);
-        let is_new = ![first, second, fourth].contains(&number);
-        (is_new && off < CLOSURE_SHARE * shorter && leads(saddle, b) && leads(saddle, d)).then_some((off, number))
+    let near = grid.within(b + d - a, CLOSURE_SHARE * shorter).filter(|(_, number)| {
+        let saddle = &saddles[*number];
+        ![first, second, fourth].contains(number) && leads(saddle, b) && leads(saddle, d)
     });
-    near.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, number)| number)
+    near.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))).map(|(_, number)| number)
 }
 
 /// Reads the code between four corners in clockwise order; returns their numbers on the board.

@@ -5,12 +5,14 @@
 //! place is known to a pixel or two.
 
 mod markers;
+mod saddle_grid;
 mod saddles;
 
 use glam::DVec2;
 
 use crate::Picture;
 use realitysim_geometry::Board;
+use saddle_grid::SaddleGrid;
 use saddles::saddles;
 
 /// A corner of a board in a picture.
@@ -40,7 +42,8 @@ const MIN_ISOTROPY: f64 = 0.03;
 /// Finds the corners of a board that lie at markers whose code can be read, ordered by number.
 pub fn find_corners(picture: &Picture, board: &Board) -> Vec<BoardCorner> {
     let saddles = saddles(picture);
-    let refined = markers::read(picture, board, &saddles).into_iter().filter_map(|corner| {
+    let grid = SaddleGrid::new(&saddles, picture.width, picture.height);
+    let refined = markers::read(picture, board, &grid).into_iter().filter_map(|corner| {
         let pixel = refine_corner(picture, corner.pixel, window(board, corner.side_px)?)?;
         Some(BoardCorner { pixel, ..corner })
     });

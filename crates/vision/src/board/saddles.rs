@@ -60,20 +60,27 @@ pub(super) fn saddles(picture: &Picture) -> Vec<Saddle> {
 fn smoothed(picture: &Picture) -> Vec<f32> {
     const KERNEL: [f32; 5] = [1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0];
     let (width, height) = (picture.width, picture.height);
-    let pass = |from: &[f32], step: usize, count: usize, position: &dyn Fn(usize) -> usize| -> Vec<f32> {
-        let at = |index: usize| {
-            let here = position(index);
-            let sum = KERNEL.iter().enumerate().map(|(tap, weight)| {
-                let there = (here + tap).saturating_sub(2).min(count - 1);
-                weight * from[index + there * step - here * step]
-            });
-            sum.sum()
-        };
-        (0..from.len()).map(at).collect()
-    };
+    let weighted = |values: [f32; 5]| KERNEL.iter().zip(values).map(|(weight, value)| weight * value).sum::<f32>();
+    // Beyond the edge the picture goes on as at the edge.
+    let tap = |here: usize, tap: usize, count: usize| (here + tap).saturating_sub(2).min(count - 1);
     let luma: Vec<f32> = picture.luma.iter().map(|value| f32::from(*value)).collect();
-    let across = pass(&luma, 1, width, &|index| index % width);
-    pass(&across, width, height, &|index| index / width)
+    let mut across = luma.clone();
+    for (from, to) in luma.chunks_exact(width).zip(across.chunks_exact_mut(width)) {
+        for (window, value) in from.windows(5).zip(&mut to[2..]) {
+            *value = weighted([window[0], window[1], window[2], window[3], window[4]]);
+        }
+        for column in [0, 1, width - 2, width - 1] {
+            to[column] = weighted(core::array::from_fn(|offset| from[tap(column, offset, width)]));
+        }
+    }
+    let mut smooth = vec![0.0; luma.len()];
+    for (row, to) in smooth.chunks_exact_mut(width).enumerate() {
+        let rows: [&[f32]; 5] = core::array::from_fn(|offset| &across[tap(row, offset, height) * width..][..width]);
+        for (column, value) in to.iter_mut().enumerate() {
+            *value = weighted(rows.map(|row| row[column]));
+        }
+    }
+    smooth
 }
 
 fn curvature(smooth: &[f32], width: usize, at: usize) -> Curvature {
