@@ -136,8 +136,13 @@ fn query(catalogue: &Path, sql: &str, json: bool) -> anyhow::Result<Outcome> {
 
 #[cfg(not(feature = "query"))]
 fn query(catalogue: &Path, _sql: &str, _json: bool) -> anyhow::Result<Outcome> {
+    Err(cannot_ask(catalogue))
+}
+
+#[cfg(not(feature = "query"))]
+fn cannot_ask(catalogue: &Path) -> anyhow::Error {
     let what = "questions are answered by a program that is built with `--features query`; any other asks DuckDB, Polars or pandas";
-    Err(UsageError(format!("{}: {what}", catalogue.display())).into())
+    UsageError(format!("{}: {what}", catalogue.display())).into()
 }
 
 /// Whether a condition in SQL holds for any frame of a session, by the session's identity, for all sessions in the catalogue beside
@@ -168,7 +173,7 @@ fn ask_for_sessions(catalogue: &Path, condition: &str) -> anyhow::Result<BTreeMa
 
 #[cfg(not(feature = "query"))]
 fn ask_for_sessions(catalogue: &Path, _condition: &str) -> anyhow::Result<BTreeMap<String, bool>> {
-    query(catalogue, "", false).map(|_| BTreeMap::new())
+    Err(cannot_ask(catalogue))
 }
 
 fn show(entries: &[Entry], json: bool) -> anyhow::Result<Outcome> {

@@ -43,6 +43,7 @@ mod replay;
 mod scene;
 mod serve;
 mod sessions;
+mod sessions_where;
 mod settings;
 mod status_text;
 mod sync;

@@ -1,7 +1,7 @@
 //! Connections of viewers, bounded, and passed on to the server of Foxglove's SDK.
 //!
 //! The SDK bounds no connections, and its server ends for good when one cannot be accepted, as when no file descriptor is left. So it
-//! listens on loopback alone, and what listens for viewers is this: it accepts so many, refuses the rest, and goes on after an error.
+//! listens on loopback alone, and what listens for viewers is this: it accepts so many, refuses the rest, and goes on after an error. Should the SDK's server have ended all the same, viewers are closed at once.
 
 use std::io;
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};

@@ -31,7 +31,7 @@ fn sessions_are_listed_by_what_is_in_them() {
     list("nothing > 2").fails(2, &["nothing", "the table is frames"]);
     room.replay("log.mcap");
     let run = list("valid").succeeds();
-    assert!(run.stderr.contains("1 of 2 sessions are not in the catalogue"), "{run:?}");
+    assert!(run.stderr.contains("1 of 2 sessions are not in the catalogue and left out"), "{run:?}");
     fs::remove_dir_all(room.path("catalogue")).unwrap();
     list("valid").fails(2, &["--where", "catalogue rebuild"]);
 }

@@ -56,7 +56,7 @@ mod tests {
                     steps.set(steps.get() + 1);
                     lens_profile(k, angle, radius)
                 });
-                assert!((found - angle).abs() < 1e-15 * angle.max(1.0) * 4.0, "{k:?}: {found} for {angle}");
+                assert!((found - angle).abs() < 4e-15 * angle.max(1.0), "{k:?}: {found} for {angle}");
                 assert!(steps.get() <= 6, "{k:?} at {angle}: {} steps", steps.get());
             }
         }

@@ -6,24 +6,22 @@ mod result_folder;
 mod shard;
 mod step;
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::ensure;
 use clap::{Args, ValueEnum};
 
 use super::Outcome;
-#[cfg(feature = "catalogue")]
-use super::catalogue;
 use super::host_info::cores;
 use super::labels::Format;
 use super::paths::{check_output, make_folder};
 use super::replay::MAX_THREADS;
+use super::sessions_where::{Chosen, WhereArguments};
 use super::settings::UsageError;
 use super::values::whole;
 use crate::recording::sessions::session_at;
+use crate::recording::sessions_of;
 use crate::recording::storage::Disk;
-use crate::recording::{SessionId, sessions_of};
 use report::Report;
 use shard::{Shard, parse_shard};
 use step::{Step, TagSettings};
@@ -54,10 +52,8 @@ pub struct JobArguments {
     /// The part of the sessions that is done here: I of N, from 1/N to N/N. A session's name alone tells to which part it belongs
     #[arg(long, value_name = "I/N", default_value = "1/1", value_parser = parse_shard)]
     shard: Shard,
-    /// Only sessions with a frame of which this holds, in SQL, such as "valid and x_m > 2": asks the catalogue beside the captures
-    #[cfg(feature = "catalogue")]
-    #[arg(long = "where", value_name = "CONDITION")]
-    condition: Option<String>,
+    #[command(flatten)]
+    condition: WhereArguments,
     /// Folder of the results
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -84,13 +80,7 @@ pub fn run(arguments: &JobArguments, json: bool) -> anyhow::Result<Outcome> {
     let JobArguments { captures, shard, output, workers, .. } = arguments;
     let step = step(arguments)?;
     check_output(output, &[captures])?;
-    #[cfg(feature = "catalogue")]
-    let holds = arguments.condition.as_deref().map(|condition| catalogue::sessions_where(captures, condition));
-    #[cfg(feature = "catalogue")]
-    let chosen = holds.transpose()?;
-    #[cfg(not(feature = "catalogue"))]
-    let chosen = None;
-    let (all, sessions) = sessions(captures, *shard, chosen.as_ref())?;
+    let (all, sessions) = sessions(captures, *shard, &arguments.condition.chosen(captures)?)?;
     let results = output.join(step.name());
     make_folder(&results)?;
     let workers = workers.unwrap_or_else(|| cores().min(MAX_THREADS));
@@ -117,22 +107,15 @@ fn step(arguments: &JobArguments) -> anyhow::Result<Step> {
     }
 }
 
-/// The number of all sessions in a folder, and those of a shard by name. Of `chosen`, by identity, only those that are true count.
-fn sessions(
-    captures: &Path,
-    shard: Shard,
-    chosen: Option<&BTreeMap<String, bool>>,
-) -> anyhow::Result<(usize, Vec<PathBuf>)> {
+/// The number of all sessions in a folder, and those of a shard by name. Only chosen ones count.
+fn sessions(captures: &Path, shard: Shard, chosen: &Chosen) -> anyhow::Result<(usize, Vec<PathBuf>)> {
     let mut sessions = sessions_of(&Disk, captures);
     ensure!(
         !sessions.is_empty(),
         "{}: holds no capture: name the folder that `realitysim record`, `replay` or `sync` writes captures into",
         captures.display()
     );
-    if let Some(chosen) = chosen {
-        let is_chosen = |id: &SessionId| chosen.get(id.as_str()) == Some(&true);
-        sessions.retain(|session| session_at(session).is_ok_and(|session| is_chosen(&session.id)));
-    }
+    chosen.keep(&mut sessions, |session| Some(session_at(session).ok()?.id));
     let all = sessions.len();
     sessions.retain(|session| shard.has(&session_name(session)));
     sessions.sort();

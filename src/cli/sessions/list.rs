@@ -8,8 +8,7 @@ use jiff::Timestamp;
 use serde::Serialize;
 
 use super::CapturesArguments;
-#[cfg(feature = "catalogue")]
-use crate::cli::catalogue;
+use crate::cli::sessions_where::WhereArguments;
 use crate::cli::{Outcome, output};
 use crate::recording::sessions::sessions_in;
 use crate::recording::sync::{KnownSource, known_sources};
@@ -21,10 +20,8 @@ use crate::recording::{Counts, ManifestLine, Session, SessionId, receiver_of, re
 pub struct ListArguments {
     #[command(flatten)]
     captures: CapturesArguments,
-    /// Only sessions with a frame of which this holds, in SQL, such as "valid and x_m > 2": asks the catalogue beside the captures
-    #[cfg(feature = "catalogue")]
-    #[arg(long = "where", value_name = "CONDITION")]
-    condition: Option<String>,
+    #[command(flatten)]
+    condition: WhereArguments,
 }
 
 const SESSION: &str = "session";
@@ -116,12 +113,8 @@ fn row(session: &Session, own: Option<&str>) -> Row {
 
 pub fn run(arguments: &ListArguments, json: bool) -> anyhow::Result<Outcome> {
     let folder = arguments.captures.folder()?;
-    let (rows, strange) = rows(&folder)?;
-    #[cfg(feature = "catalogue")]
-    let rows = match &arguments.condition {
-        Some(condition) => chosen(rows, &catalogue::sessions_where(&folder, condition)?),
-        None => rows,
-    };
+    let (mut rows, strange) = rows(&folder)?;
+    arguments.condition.chosen(&folder)?.keep(&mut rows, |row| Some(row.id.clone()));
     for why in &strange {
         output::say(&format!("set aside: {why}"));
     }
@@ -142,17 +135,6 @@ pub fn run(arguments: &ListArguments, json: bool) -> anyhow::Result<Outcome> {
     }
     output::lines(text.trim_end())?;
     Ok(Outcome::Whole)
-}
-
-/// The rows of sessions of which the condition holds. Those that the catalogue does not know are told.
-#[cfg(feature = "catalogue")]
-fn chosen(rows: Vec<Row>, holds: &BTreeMap<String, bool>) -> Vec<Row> {
-    let unknown = rows.iter().filter(|row| !holds.contains_key(row.id.as_str())).count();
-    if unknown > 0 {
-        let what = "are not in the catalogue and not listed: `realitysim catalogue rebuild` adds those that are here";
-        output::say(&format!("{unknown} of {} sessions {what}", rows.len()));
-    }
-    rows.into_iter().filter(|row| holds.get(row.id.as_str()) == Some(&true)).collect()
 }
 
 /// Rows of all sessions here and of those known to be at sources only, and the folders that were set aside.
