@@ -17,6 +17,8 @@ pub use realitysim_labels as labels;
 pub use realitysim_localization as localization;
 pub use realitysim_log_input as log_input;
 pub use realitysim_recording as recording;
+#[cfg(feature = "remote")]
+pub use realitysim_remote as remote;
 pub use realitysim_ros2 as ros2;
 pub use realitysim_scene as scene;
 pub use realitysim_service as service;

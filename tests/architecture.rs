@@ -56,7 +56,7 @@ fn the_core_is_built_of_mathematics_alone() {
 }
 
 /// Crates that only optional features need: the default build leaves them out, because they take long to compile.
-const OPTIONAL: [&str; 1] = ["catalogue-query"];
+const OPTIONAL: [&str; 2] = ["catalogue-query", "remote"];
 
 #[test]
 fn every_crate_but_the_optional_ones_is_built_by_default() {

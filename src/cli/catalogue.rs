@@ -145,10 +145,11 @@ fn cannot_ask(catalogue: &Path) -> anyhow::Error {
     UsageError(format!("{}: {what}", catalogue.display())).into()
 }
 
-/// Whether a condition in SQL holds for any frame of a session, by the session's identity, for all sessions in the catalogue beside
-/// their folder.
+/// Whether a condition in SQL holds for any frame of a session, by the session's identity, for all sessions in a catalogue or in
+/// the one beside their folder.
 pub(super) fn sessions_where(captures: &Path, condition: &str) -> anyhow::Result<BTreeMap<String, bool>> {
-    let Some(catalogue) = catalogue::catalogue_beside(captures) else {
+    let own = catalogue::is_catalogue(captures).then(|| captures.to_owned());
+    let Some(catalogue) = own.or_else(|| catalogue::catalogue_beside(captures)) else {
         let folder = captures.display();
         let what =
             "there is no catalogue beside the folder: `realitysim catalogue rebuild` with `-o catalogue` makes it";

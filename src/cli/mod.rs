@@ -39,6 +39,7 @@ mod postgame;
 mod record;
 mod reference_check;
 mod refine;
+mod remote;
 mod replay;
 mod scene;
 mod serve;
@@ -140,7 +141,10 @@ impl Outcome {
 
 /// Runs the command that the process was called with, and returns its exit code.
 pub fn run() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = match remote::with_local_copies(std::env::args_os().collect()) {
+        Ok(arguments) => Arguments::parse_from(arguments),
+        Err(error) => return failed(&error),
+    };
     let json = arguments.json;
     let outcome = match arguments.command {
         Command::Record(arguments) => record::run(&arguments, json),
@@ -178,11 +182,14 @@ pub fn run() -> ExitCode {
         Ok(Outcome::DataLost) => ExitCode::from(3),
         Ok(Outcome::NotReached) => ExitCode::from(1),
         Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
-        Err(error) => {
-            output::say(&error_text(&error));
-            ExitCode::from(if is_usage(&error) { 2 } else { 1 })
-        }
+        Err(error) => failed(&error),
     }
+}
+
+/// Tells an error, and gives its exit code.
+fn failed(error: &anyhow::Error) -> ExitCode {
+    output::say(&error_text(error));
+    ExitCode::from(if is_usage(error) { 2 } else { 1 })
 }
 
 /// Joins an error and its causes; a cause that is quoted already is not repeated.

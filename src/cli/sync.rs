@@ -1,6 +1,6 @@
 //! Command `realitysim sync`: fetches recordings from a robot.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -32,8 +32,14 @@ pub struct SyncArguments {
     /// Sessions, by the beginnings of their names; none: all
     sessions: Vec<String>,
     /// Where captures are kept here
-    #[arg(short, long, value_name = "CAPTURES_DIR")]
-    output: PathBuf,
+    #[arg(short, long, value_name = "CAPTURES_DIR", required = true)]
+    #[cfg_attr(feature = "remote", arg(required = false, required_unless_present = "to"))]
+    output: Option<PathBuf>,
+    /// Upload the folder of captures SOURCE to an object store instead: s3://bucket/captures, gs://, az:// or https://. A segment is acknowledged once
+    /// it was read back
+    #[cfg(feature = "remote")]
+    #[arg(long, value_name = "ADDRESS", conflicts_with_all = ["output", "watch", "no_acknowledge"])]
+    to: Option<String>,
     /// Only segments recorded since then, by the robot's clock: 2026-11-21 or 2026-11-21T10:00:00Z
     #[arg(long, value_name = "TIME", value_parser = begin_ns)]
     since: Option<i64>,
@@ -65,23 +71,27 @@ const MAX_PAUSE: Duration = Duration::from_secs(60);
 const TICK: Duration = Duration::from_millis(100);
 
 pub fn run(arguments: &SyncArguments, json: bool) -> anyhow::Result<Outcome> {
-    let options = Options {
-        source: Source::parse(&arguments.source)?,
-        selection: Selection {
-            sessions: arguments.sessions.clone(),
-            since_ns: arguments.since,
-            until_ns: arguments.until,
-            within: arguments.within,
-            valid_share: arguments.valid,
-        },
-        ssh: arguments.ssh.clone(),
-        acknowledge: !arguments.no_acknowledge,
-    };
-    check_places(&options.source, &arguments.output)?;
     if arguments.since.zip(arguments.until).is_some_and(|(since, until)| until < since) {
         return Err(UsageError("--until is before --since: no segment is asked for".to_owned()).into());
     }
-    let store = Store::open(&arguments.output)?;
+    let selection = Selection {
+        sessions: arguments.sessions.clone(),
+        since_ns: arguments.since,
+        until_ns: arguments.until,
+        within: arguments.within,
+        valid_share: arguments.valid,
+    };
+    #[cfg(feature = "remote")]
+    if let Some(to) = &arguments.to {
+        let stop = stop_flag()?;
+        return super::remote::upload(arguments.source.as_ref(), to, &selection, &stop, json);
+    }
+    let missing = || UsageError("--output CAPTURES_DIR is missing".to_owned());
+    let output = arguments.output.as_deref().ok_or_else(missing)?;
+    let source = Source::parse(&arguments.source)?;
+    let options = Options { source, selection, ssh: arguments.ssh.clone(), acknowledge: !arguments.no_acknowledge };
+    check_places(&options.source, output)?;
+    let store = Store::open(output)?;
     let stop = stop_flag()?;
     if arguments.watch {
         return watch(&options, &store, Duration::from_secs(arguments.every), &stop, json);
@@ -156,11 +166,11 @@ fn ended_sessions(report: &Report, store: &Store) -> Vec<PathBuf> {
     folders.filter(|folder| folder.join(METADATA_FILE).is_file()).collect()
 }
 
-fn check_places(source: &Source, output: &std::path::Path) -> Result<(), UsageError> {
+fn check_places(source: &Source, output: &Path) -> Result<(), UsageError> {
     if source.is_remote() {
         return Ok(());
     }
-    let folder = std::path::Path::new(&source.folder);
+    let folder = Path::new(&source.folder);
     if !folder.is_dir() {
         let name = &source.folder;
         return Err(UsageError(format!("{name}: there is no such folder ({name}: with a colon would be a robot)")));

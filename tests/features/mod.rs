@@ -4,3 +4,5 @@
 mod live;
 #[cfg(feature = "query")]
 mod query;
+#[cfg(feature = "remote")]
+mod remote;

@@ -47,7 +47,7 @@ fn ten_lines_of_python_are_a_camera() {
     let mut sender = Command::new(python).args(["-c", &program]).current_dir(room.path()).spawn().expect("Python");
     let (mut frames, mut others) = (Vec::new(), 0);
     let began = std::time::Instant::now();
-    while frames.len() as u64 + others < images.len() as u64 && began.elapsed().as_secs() < 20 {
+    while frames.len() as u64 + others < images.len() as u64 && began.elapsed().as_secs() < 60 {
         capture.step(monotonic_ns, |event| match event {
             CaptureEvent::Frame(frame) => frames.push(frame),
             CaptureEvent::Dropped(_, count) => others += count,

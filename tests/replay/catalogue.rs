@@ -166,7 +166,7 @@ fn a_catalogue_that_cannot_follow_stops_no_command() {
     room.run(&format!("catalogue rebuild {CAPTURES} -o home/catalogue")).succeeds();
     let file = files(&room.path("home/catalogue")).remove(0);
     let bytes = fs::read(&file).unwrap();
-    let at = bytes.windows(10).position(|part| part == b"\"format\":1").unwrap();
+    let at = bytes.windows(10).position(|part| part == b"\"format\":2").unwrap();
     let mut changed = bytes.clone();
     changed[at + 9] = b'9';
     fs::write(&file, &changed).unwrap();

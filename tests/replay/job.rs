@@ -62,6 +62,7 @@ fn each_step_gives_the_same_bits_whoever_does_it() {
         ("tag", "tags.mcap"),
         ("refine", "refined/refined.json"),
         ("labels", "annotations.json"),
+        ("depth", "images/database.json"),
         ("check", "unit.json"),
     ] {
         let whole = room.run(&format!("job {CAPTURES} --step {step} -o whole --workers 1 --json")).succeeds().json();
@@ -81,6 +82,22 @@ fn each_step_gives_the_same_bits_whoever_does_it() {
         assert_eq!(again["units"][0]["summary"], whole["units"][0]["summary"]);
     }
     assert!(files(&room.path("whole")) == files(&room.path("parts")));
+}
+
+#[test]
+fn a_catalogue_names_the_sessions_of_a_job() {
+    let room = league();
+    // The three are copies of one session, of which a catalogue takes the first.
+    room.run(&format!("catalogue add {CAPTURES}/friday -o catalogue")).succeeds();
+    let job = |from: &str, to: &str| room.run(&format!("job {from} --step check -o {to} --json"));
+    let whole = job(CAPTURES, "whole").succeeds().json();
+    let named = job("catalogue", "named").succeeds().json();
+    assert_eq!((states(&named), &named["sessions"]), (vec!["done"], &Value::from(1)));
+    assert_eq!(named["units"][0]["summary"], whole["units"][0]["summary"]);
+    fs::remove_dir_all(room.path(CAPTURES).join("friday")).unwrap();
+    let run = job("catalogue", "named").fails(1, &["friday"]);
+    assert_eq!(states(&run.json()), ["failed"]);
+    job("whole/check", "none").fails(1, &["holds no capture", "a catalogue of them"]);
 }
 
 /// A job in the background.

@@ -16,7 +16,7 @@ pub const PREDICTED: &str = "/predicted_tag";
 const LAST_BEFORE: usize = 9;
 const FIRST_AFTER: usize = 34;
 /// Ten a second, as frames, from a second after the last one until the next one.
-pub const PREDICTIONS: usize = FIRST_AFTER - LAST_BEFORE - 9;
+const PREDICTIONS: usize = FIRST_AFTER - LAST_BEFORE - 9;
 
 /// The walk without some of its frames; the truth stays.
 pub fn with_a_gap() -> Vec<LogMessage> {

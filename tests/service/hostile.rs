@@ -59,7 +59,7 @@ fn a_client_that_never_finishes_its_request_is_hung_up_on() {
     let mut bytes = Vec::new();
     let _ = slow.read_to_end(&mut bytes);
     let _ = idle.read_to_end(&mut bytes);
-    assert!((5.0..40.0).contains(&started.elapsed().as_secs_f64()), "{:?}", started.elapsed());
+    assert!(started.elapsed().as_secs_f64() > 5.0, "{:?}", started.elapsed());
 }
 
 #[test]

@@ -95,7 +95,7 @@ impl Served {
         let pid = rustix::process::Pid::from_raw(self.child.id() as i32).expect("a process");
         rustix::process::kill_process(pid, rustix::process::Signal::TERM).expect("sent");
         let started = Instant::now();
-        while started.elapsed() < Duration::from_secs(20) {
+        while started.elapsed() < Duration::from_secs(60) {
             if let Some(status) = self.child.try_wait().expect("a child") {
                 return status.code();
             }

@@ -351,7 +351,7 @@ impl Sshd {
         let began = Instant::now();
         while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
             let log = fs::read_to_string(folder.join("log")).unwrap_or_default();
-            assert!(began.elapsed() < Duration::from_secs(10), "sshd does not answer: {log}");
+            assert!(began.elapsed() < Duration::from_secs(60), "sshd does not answer: {log}");
             std::thread::sleep(Duration::from_millis(20));
         }
         let command = command.to_str().expect("text").to_owned();

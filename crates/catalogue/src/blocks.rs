@@ -27,8 +27,20 @@ fn divide(rows: &mut [&CatalogueRow], size: usize) {
         coordinate(a, axis).total_cmp(&coordinate(b, axis)).then_with(|| in_time(a).cmp(&in_time(b)))
     });
     let (low, high) = rows.split_at_mut(middle);
-    divide(low, size);
-    divide(high, size);
+    if is_worth_a_thread(low) {
+        std::thread::scope(|scope| {
+            scope.spawn(|| divide(low, size));
+            divide(high, size);
+        });
+    } else {
+        divide(low, size);
+        divide(high, size);
+    }
+}
+
+/// Whether a half has so many rows that it is worth a thread of its own.
+fn is_worth_a_thread(half: &[&CatalogueRow]) -> bool {
+    half.len() > 50_000
 }
 
 fn widest_axis(rows: &[&CatalogueRow]) -> usize {

@@ -10,12 +10,12 @@ use super::partition;
 use super::row::{CatalogueRow, short};
 use super::{FORMAT, FileHead};
 use realitysim_config::plain_file;
-use realitysim_database::best_tags;
+use realitysim_database::{best_tags, image_quality, in_parallel};
 use realitysim_geometry::Isometry;
 use realitysim_log_input::decode;
 use realitysim_log_input::log::{LogSource, files_of};
 use realitysim_recording::{Head, Loss, SESSION_FILE, SessionInfo, losses, read_info, source_hash};
-use realitysim_ros2::mcap_read::Selection;
+use realitysim_ros2::mcap_read::{LogMessage, Selection};
 use realitysim_ros2::messages::FrameTag;
 
 /// The rows of a session, and where they belong.
@@ -137,8 +137,13 @@ fn place_images(
         waiting.entry(row.stamp_ns).or_default().push_back(number);
     }
     let mut log = LogSource::with_outputs(files_of(capture)?, Selection::topics([info.settings.topics.image.as_str()]));
-    let mut images = 0;
-    while let Some(message) = log.next().transpose()? {
+    let (mut images, mut batch) = (0, Vec::with_capacity(MAX_BATCH));
+    loop {
+        let message = log.next().transpose()?;
+        if message.is_none() || batch.len() == MAX_BATCH {
+            measure(&mut batch, rows);
+        }
+        let Some(message) = message else { break };
         images += 1;
         done(images);
         let number = decode::stamp_ns(&message).ok().and_then(|stamp| waiting.get_mut(&stamp)?.pop_front());
@@ -150,8 +155,22 @@ fn place_images(
         row.offset = i64::try_from(at).ok();
         row.length = i32::try_from(message.data.len()).ok();
         row.blake3 = hash.as_bytes().first_chunk().copied();
+        batch.extend(number.map(|number| (number, message)));
     }
     Ok(losses(capture, log.damage()))
+}
+
+/// Most images that are decoded together, which bounds the memory.
+const MAX_BATCH: usize = 64;
+
+/// States brightness and sharpness of a batch of images in their rows, and empties the batch.
+fn measure(batch: &mut Vec<(usize, LogMessage)>, rows: &mut [CatalogueRow]) {
+    let qualities = in_parallel(batch.len(), |index| image_quality(&batch[index].1));
+    for ((number, _), quality) in batch.drain(..).zip(qualities) {
+        let (Some(row), Some([sharpness, brightness])) = (rows.get_mut(number), quality) else { continue };
+        row.brightness = Some(brightness.round() as i32);
+        row.sharpness = Some(short(sharpness));
+    }
 }
 
 /// Largest difference between the start of a session and the first stamp of its frames, seconds, that is no other clock: the

@@ -1,15 +1,19 @@
-//! Columns of Parquet files: how values of Rust types are stored, and columns of them written and read.
+//! Columns of Parquet files: how values of Rust types are stored, and columns of them encoded and read.
 
 use std::io::Write;
 
+use bytes::Bytes;
 use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
+use parquet::column::writer::{ColumnCloseResult, get_column_writer, get_typed_column_writer};
 use parquet::data_type::{
     BoolType, ByteArray, ByteArrayType, DataType, FixedLenByteArray, FixedLenByteArrayType, FloatType, Int32Type,
     Int64Type,
 };
 use parquet::errors::{ParquetError, Result};
+use parquet::file::properties::WriterPropertiesPtr;
 use parquet::file::reader::RowGroupReader;
-use parquet::file::writer::SerializedRowGroupWriter;
+use parquet::file::writer::{SerializedPageWriter, SerializedRowGroupWriter, TrackedWrite};
+use parquet::schema::types::ColumnDescPtr;
 
 /// A value that a column can hold.
 pub(super) trait Value: Sized {
@@ -100,19 +104,35 @@ impl<V: Value> Value for Option<V> {
     }
 }
 
-/// Writes the next column of a row group.
-pub(super) fn write_column<'a, V: Value + 'a, W: Write + Send>(
-    group: &mut SerializedRowGroupWriter<'_, W>,
-    values: impl Iterator<Item = &'a V>,
-) -> Result<()> {
-    let missing = || ParquetError::General("the schema has fewer columns than a row".to_owned());
-    let mut writer = group.next_column()?.ok_or_else(missing)?;
-    let stored: Vec<_> = values.map(V::stored).collect();
-    let levels: Option<Vec<i16>> =
-        V::IS_OPTIONAL.then(|| stored.iter().map(|value| i16::from(value.is_some())).collect());
-    let present: Vec<_> = stored.into_iter().flatten().collect();
-    writer.typed::<V::Physical>().write_batch(&present, levels.as_deref(), None)?;
-    writer.close()
+/// A column of a row group in the bytes of a file, and what the file's end says of it.
+pub(super) struct EncodedColumn {
+    bytes: Bytes,
+    end: ColumnCloseResult,
+}
+
+impl EncodedColumn {
+    /// Encodes the values of a column.
+    pub(super) fn of<'a, V: Value + 'a>(
+        values: impl Iterator<Item = &'a V>,
+        column: ColumnDescPtr,
+        properties: &WriterPropertiesPtr,
+    ) -> Result<Self> {
+        let mut sink = TrackedWrite::new(Vec::new());
+        let pages = Box::new(SerializedPageWriter::new(&mut sink));
+        let mut writer = get_typed_column_writer::<V::Physical>(get_column_writer(column, properties.clone(), pages));
+        let stored: Vec<_> = values.map(V::stored).collect();
+        let levels: Option<Vec<i16>> =
+            V::IS_OPTIONAL.then(|| stored.iter().map(|value| i16::from(value.is_some())).collect());
+        let present: Vec<_> = stored.into_iter().flatten().collect();
+        writer.write_batch(&present, levels.as_deref(), None)?;
+        let end = writer.close()?;
+        Ok(Self { bytes: Bytes::from(sink.into_inner()?), end })
+    }
+
+    /// Writes the column as the next one of a row group.
+    pub(super) fn write<W: Write + Send>(self, group: &mut SerializedRowGroupWriter<'_, W>) -> Result<()> {
+        group.append_column(&self.bytes, self.end)
+    }
 }
 
 /// Reads a column of a row group. The schema must be that of the rows.

@@ -12,16 +12,17 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::statistics::Statistics;
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::parser::parse_message_type;
-use parquet::schema::types::ColumnPath;
+use parquet::schema::types::{ColumnPath, SchemaDescriptor};
 use serde::{Deserialize, Serialize};
 
 use super::blocks::arrange;
 use super::error::{CatalogueError, damaged, io};
-use super::row::{COLUMNS, CatalogueRow, Packing, read_group, schema_text, write_group};
+use super::row::{COLUMNS, CatalogueRow, Packing, encode_group, read_group, schema_text};
 use realitysim_config::plain_file;
+use realitysim_database::in_parallel;
 
 /// Version of the files. Readers refuse any other.
-pub const FORMAT: u64 = 1;
+pub const FORMAT: u64 = 2;
 /// Key of the [`FileHead`], as JSON, in the metadata of a file.
 const HEAD_KEY: &str = "realitysim.catalogue";
 /// Rows of a row group. A walk of ten minutes at 30 Hz has 36 of them, so that a range of poses prunes within a session.
@@ -61,10 +62,16 @@ impl Default for FileHead {
 /// Puts rows with like poses in one row group and makes the bytes of their file. The same rows give the same bytes.
 pub fn parquet_of_rows(head: &FileHead, rows: &[CatalogueRow]) -> Result<Vec<u8>, CatalogueError> {
     let schema = Arc::new(parse_message_type(&schema_text())?);
-    let mut writer = SerializedFileWriter::new(Vec::new(), schema, Arc::new(properties(head)?))?;
-    for rows in arrange(rows, MAX_GROUP_ROWS).chunks(MAX_GROUP_ROWS) {
+    let properties = Arc::new(properties(head)?);
+    let mut writer = SerializedFileWriter::new(Vec::new(), Arc::clone(&schema), Arc::clone(&properties))?;
+    let rows = arrange(rows, MAX_GROUP_ROWS);
+    let groups: Vec<&[&CatalogueRow]> = rows.chunks(MAX_GROUP_ROWS).collect();
+    let schema = SchemaDescriptor::new(schema);
+    for columns in in_parallel(groups.len(), |number| encode_group(groups[number], &schema, &properties)) {
         let mut group = writer.next_row_group()?;
-        write_group(rows, &mut group)?;
+        for column in columns? {
+            column.write(&mut group)?;
+        }
         group.close()?;
     }
     Ok(writer.into_inner()?)

@@ -32,7 +32,9 @@ pub use capture::{CapturedSession, rows_of_capture};
 pub use error::CatalogueError;
 pub use file::{FORMAT, FileHead, PoseRange, parquet_of_rows, pruned_groups, read_head, read_rows};
 pub use row::{CatalogueRow, PoseCell};
-pub use store::{Entry, EntryState, Report, add, catalogue_beside, catalogue_files, rebuild, show, update};
+pub use store::{
+    Entry, EntryState, Report, add, captures_in, catalogue_beside, catalogue_files, is_catalogue, rebuild, show, update,
+};
 
 #[cfg(test)]
 mod tests;

@@ -48,7 +48,7 @@ pub fn add(catalogue: &Path, captures: &[PathBuf], progress: Progress) -> Result
 /// The catalogue that is kept up to date with a folder of captures: `catalogue` beside the folder; `None` if there is none.
 pub fn catalogue_beside(captures: &Path) -> Option<PathBuf> {
     let catalogue = captures.canonicalize().ok()?.parent()?.join(FOLDER_BESIDE);
-    files(&catalogue).is_ok_and(|files| !files.is_empty()).then_some(catalogue)
+    is_catalogue(&catalogue).then_some(catalogue)
 }
 
 /// Name of the folder of [`catalogue_beside`].
@@ -190,6 +190,25 @@ pub fn show(catalogue: &Path) -> Result<Vec<Entry>, CatalogueError> {
 pub fn catalogue_files(catalogue: &Path) -> Result<Vec<PathBuf>, CatalogueError> {
     let files = files(catalogue)?;
     if files.is_empty() { Err(CatalogueError::None { path: catalogue.to_owned() }) } else { Ok(files) }
+}
+
+/// The captures that a catalogue has rows of, by path; some may not be there any more. None if the folder is no catalogue.
+///
+/// # Errors
+///
+/// Fails if a file of the catalogue cannot be read.
+pub fn captures_in(catalogue: &Path) -> Result<Vec<PathBuf>, CatalogueError> {
+    let heads = files(catalogue)?.into_iter().map(|file| read_head(&file));
+    let captures = heads.map(|read| read.map(|(head, _)| PathBuf::from(head.capture)));
+    let mut captures = captures.collect::<Result<Vec<_>, _>>()?;
+    captures.sort();
+    captures.dedup();
+    Ok(captures)
+}
+
+/// Whether a folder holds files of a catalogue.
+pub fn is_catalogue(folder: &Path) -> bool {
+    files(folder).is_ok_and(|files| !files.is_empty())
 }
 
 fn entry(catalogue: &Path, path: &Path) -> Entry {

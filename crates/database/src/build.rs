@@ -15,8 +15,9 @@ use super::image_database::without_rim;
 use super::index::{Index, path_of, write_index};
 use super::input_files::sources_of;
 use super::masks::{self, Masks};
-use super::pixels::read_bytes;
+use super::pixels::read_image;
 use super::record::Record;
+use super::remote_files;
 use super::sources::{self, Read, ScaledLens};
 use super::{goals, hall, moved, vignetting};
 use realitysim_geometry::{Field, FieldDimensions, LensParameters};
@@ -111,7 +112,7 @@ pub fn remove(folder: &Path, path: &Path) -> Result<u64, DatabaseError> {
     require_database(folder)?;
     let _lock = lock(folder)?;
     let mut contents = Contents::read(folder)?;
-    let absolute = path.canonicalize().or_else(|_| std::path::absolute(path)).map_err(io(path))?;
+    let absolute = remote_files::absolute(path).or_else(|_| std::path::absolute(path)).map_err(io(path))?;
     let unknown = || {
         let known: Vec<String> = contents.sources.iter().map(|source| source.path.display().to_string()).collect();
         DatabaseError::Unknown { path: path.to_owned(), known: known.join(", ") }
@@ -362,7 +363,7 @@ pub(super) fn bytes_of(contents: &Contents, record: &Record) -> Result<Vec<u8>, 
     let file = contents.sources.get(record.source as usize).and_then(|source| source.file(record.file));
     let file =
         file.ok_or_else(|| (PathBuf::from("index"), "names a file that database.json does not know".to_owned()))?;
-    let bytes = match read_bytes(&file, record.offset, record.length) {
+    let bytes = match read_image(&file, record) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
             return Err((file, "gone since it was indexed".to_owned()));

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::contents::Source;
 use super::error::DatabaseError;
 use super::image_database::shown_by;
-use super::pixels::{colours, read_bytes};
+use super::pixels::{colours, read_image};
 use super::record::Record;
 use realitysim_geometry::{Field, FieldDimensions, Lens};
 use realitysim_views::{Camera, GoalBars, Raster, World};
@@ -33,7 +33,7 @@ pub(super) fn are_present(
     let camera = Camera::new(&lens);
     let shows = shown_by(folder, source, &camera)?;
     let seen_in = |record: &Record| -> Option<GoalBars> {
-        let bytes = read_bytes(&source.file(record.file)?, record.offset, record.length).ok()?;
+        let bytes = read_image(&source.file(record.file)?, record).ok()?;
         let colours = colours(&bytes, record.form).ok()?;
         let raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, &shows)?;
         Some(GoalBars::seen(&camera, &record.pose(), &raster, &world))

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::contents::Source;
 use super::error::DatabaseError;
 use super::image_database::shown_by;
-use super::pixels::{colours, read_bytes};
+use super::pixels::{colours, read_image};
 use super::record::Record;
 use realitysim_geometry::{Field, FieldDimensions, Lens};
 use realitysim_views::{Camera, Hall, HallImage, Raster, Scenery, World, fit_hall, mark_moving};
@@ -32,7 +32,7 @@ pub(super) fn measure(
     let camera = Camera::new(&lens);
     let shows = shown_by(folder, source, &camera)?;
     let image = |record: &Record| -> Option<HallImage> {
-        let bytes = read_bytes(&source.file(record.file)?, record.offset, record.length).ok()?;
+        let bytes = read_image(&source.file(record.file)?, record).ok()?;
         let colours = colours(&bytes, record.form).ok()?;
         let mut raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, &shows)?;
         let (map_from_link, tag) = (record.pose(), record.tag());

@@ -16,6 +16,7 @@ use super::masks::Masks;
 use super::moved::MovedBlocks;
 use super::pixels::{colours, ending, png_of};
 use super::record::{Form, Record};
+use super::remote_files::exists;
 use super::source_selection::{Exclusions, choose};
 use realitysim_config::ViewsSettings;
 use realitysim_geometry::{Field, Isometry, Lens, LensParameters};
@@ -244,12 +245,12 @@ impl ImageDatabase {
                 let known = self.contents.sources.get(source as usize);
                 let path = known.and_then(|source| source.file(file));
                 // If a whole source or file is gone, all of its images are excluded at once.
-                match (known.map(|source| &source.path).filter(|path| !path.exists()), path) {
+                match (known.map(|source| &source.path).filter(|path| !exists(path)), path) {
                     (Some(away), _) => {
                         without.sources.push(source);
                         unreadable.push(gone(away));
                     }
-                    (None, Some(away)) if !away.exists() => {
+                    (None, Some(away)) if !exists(&away) => {
                         without.files.push((source, file));
                         unreadable.push(gone(&away));
                     }

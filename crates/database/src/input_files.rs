@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::contents::Contents;
 use super::error::{DatabaseError, io};
+use super::remote_files::absolute;
 use super::sources::is_source;
 use realitysim_recording::{DISK_FILE, STATE_FILE};
 
@@ -25,7 +26,7 @@ pub(super) fn sources_of(paths: &[PathBuf], known: Option<&Contents>) -> Result<
             continue;
         }
         for source in if is_folder_of_captures { inside } else { vec![path.clone()] } {
-            let source = source.canonicalize().map_err(io(&source))?;
+            let source = absolute(&source).map_err(io(&source))?;
             let sources = known.into_iter().flat_map(|known| known.sources.iter().map(|source| &source.path));
             match sources.chain(&found).find(|other| source.starts_with(other) || other.starts_with(&source)) {
                 Some(_) if is_folder_of_captures => {}

@@ -14,7 +14,7 @@ use super::contents::Source;
 use super::error::DatabaseError;
 use super::image_database::shown_by;
 use super::parallel::in_parallel;
-use super::pixels::{colours, read_bytes};
+use super::pixels::{colours, read_bytes, read_image};
 use super::record::Record;
 use realitysim_config::plain_file;
 use realitysim_geometry::{Field, FieldDimensions, Isometry, Lens};
@@ -59,7 +59,7 @@ pub(super) fn measure(
     let mut sorted: Vec<&Record> = records.iter().collect();
     sorted.sort_unstable_by_key(|record| (record.file, record.offset));
     let image = |record: &Record| -> Option<BlockImage> {
-        let bytes = read_bytes(&source.file(record.file)?, record.offset, record.length).ok()?;
+        let bytes = read_image(&source.file(record.file)?, record).ok()?;
         let colours = colours(&bytes, record.form).ok()?;
         let raster = Raster::from_rgb(colours.width, colours.height, &colours.rgb, &shows)?;
         Some(BlockImage::new(&camera, &record.pose(), &raster))

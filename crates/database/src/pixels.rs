@@ -9,7 +9,8 @@ use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
-use super::record::Form;
+use super::record::{Form, Record};
+use super::remote_files::reader_of;
 use realitysim_config::plain_file;
 use realitysim_geometry::lens::{MAX_PIXELS, MAX_SIDE, is_image_size};
 use realitysim_log_input::decode;
@@ -27,7 +28,7 @@ pub(super) struct Colours {
 /// Largest stored image, bytes; no recorded frame comes near it.
 const MAX_STORED_BYTES: u32 = 256 << 20;
 
-/// Reads the bytes of one image from its file.
+/// Reads a part of a file of this machine.
 pub(super) fn read_bytes(path: &Path, offset: u64, length: u32) -> io::Result<Vec<u8>> {
     if length > MAX_STORED_BYTES {
         return Err(io::Error::new(io::ErrorKind::InvalidData, format!("{length} bytes are no image")));
@@ -37,6 +38,18 @@ pub(super) fn read_bytes(path: &Path, offset: u64, length: u32) -> io::Result<Ve
     let mut bytes = Vec::new();
     file.take(u64::from(length)).read_to_end(&mut bytes)?;
     if bytes.len() == length as usize { Ok(bytes) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
+}
+
+/// Reads the bytes of a record's image from its file, which may be a remote one.
+pub(super) fn read_image(path: &Path, record: &Record) -> io::Result<Vec<u8>> {
+    let Record { offset, length, crc, .. } = *record;
+    match reader_of(path) {
+        Some(_) if length > MAX_STORED_BYTES => {
+            Err(io::Error::new(io::ErrorKind::InvalidData, format!("{length} bytes are no image")))
+        }
+        Some(files) => files.read(path, offset, length, crc),
+        None => read_bytes(path, offset, length),
+    }
 }
 
 /// The usual ending of a stored file's name: `png` or `jpg`.

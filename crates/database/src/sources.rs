@@ -14,6 +14,7 @@ use super::error::{DatabaseError, io};
 use super::lit_pixels::LitPixels;
 use super::pixels::{colours, quality, read_bytes};
 use super::record::{Form, Record};
+use super::remote_files;
 use realitysim_config::{ConfigError, load_field, load_lens_for_image, plain_file};
 use realitysim_geometry::{Euler, FieldDimensions, Isometry, LensParameters};
 use realitysim_log_input::log::{self, LogSource};
@@ -91,8 +92,12 @@ pub(super) fn is_source(path: &Path) -> bool {
 
 /// Reads a capture, one of its segments, or a folder with `poses.csv`. `done` gets the number of images so far.
 pub(super) fn read(path: &Path, limits: TagLimits, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
-    let path = path.canonicalize().map_err(io(path))?;
-    if path.join(POSES).is_file() { read_folder(path, limits, done) } else { read_capture(path, limits, done) }
+    let here = remote_files::local(path).map_err(io(path))?;
+    let mut read =
+        if here.join(POSES).is_file() { read_folder(here, limits, done)? } else { read_capture(here, limits, done)? };
+    // Its images are read from where the source lies, not from a copy that may go.
+    read.source.path = remote_files::absolute(path).map_err(io(path))?;
+    Ok(read)
 }
 
 fn read_capture(path: PathBuf, limits: TagLimits, done: &mut dyn FnMut(u64)) -> Result<Read, DatabaseError> {
@@ -238,7 +243,7 @@ pub fn covariances(source: &Source) -> Result<HashMap<i64, [f64; 36]>, DatabaseE
     if source.kind == SourceKind::Folder {
         return Ok(HashMap::new());
     }
-    let (_, tags) = best_tags(&source.path)?;
+    let (_, tags) = best_tags(&remote_files::local(&source.path).map_err(io(&source.path))?)?;
     let valid = tags.found.iter().filter(|tag| tag.valid);
     Ok(valid.map(|tag| (tag.header.stamp.to_nanoseconds(), tag.pose.covariance)).collect())
 }
@@ -255,6 +260,16 @@ fn stored(message: &LogMessage) -> Option<(u64, &[u8], Form)> {
     }
     let image = CompressedImageView::decode(&message.data).ok()?.data;
     Some(((image.as_ptr() as usize - message.data.as_ptr() as usize) as u64, image, Form::File))
+}
+
+/// Sharpness and brightness of the image in a message, as a database has them of its images; `None` if the image does not decode.
+///
+/// Sharpness is the mean absolute second difference of green along the rows over the mean of green, brightness is that mean, 0 to 255.
+/// Black pixels do not count.
+pub fn image_quality(message: &LogMessage) -> Option<[f32; 2]> {
+    let (_, bytes, form) = stored(message)?;
+    let (sharpness, brightness) = quality(&colours(bytes, form).ok()?);
+    Some([sharpness, brightness])
 }
 
 /// A record of a tag and its stored image, without the image's quality. Standard deviations are the larger ones of x and y, and

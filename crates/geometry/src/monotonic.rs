@@ -21,8 +21,10 @@ pub(crate) fn find_root(start: f64, end: f64, function: impl Fn(f64) -> [f64; 2]
             low = place
         }
         let newton = place - value / slope;
+        // A slope beyond the range of numbers would make a step of zero length, which looks like the end of the search.
+        let is_within = slope.is_finite() && newton >= low && newton <= high;
         // Both ends belong to the bracket: at the root a step of zero length stays where it is, which is one of them.
-        let next = if newton >= low && newton <= high { newton } else { low + (high - low) / 2.0 };
+        let next = if is_within { newton } else { low + (high - low) / 2.0 };
         let moved = (next - place).abs();
         place = next;
         if moved <= TOLERANCE * place {
@@ -67,6 +69,12 @@ mod tests {
         let line = |offset: f64| move |x: f64| [x + offset, 1.0];
         assert!(find_root(0.5, 1.0, line(3.0)).abs() < 1e-15);
         assert!((find_root(0.5, 1.0, line(-3.0)) - 1.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn an_infinite_slope_does_not_end_the_search() {
+        let root = find_root(0.9, 1.0, |x| [x - 0.25, f64::INFINITY]);
+        assert!((root - 0.25).abs() < 1e-15, "{root}");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::{fs, io};
 
 use serde::{Deserialize, Serialize};
 
@@ -65,6 +66,27 @@ pub fn silence(session: &Session, receiver: &str) -> Result<(), RecordingError> 
         return Ok(());
     }
     write_atomically(&Disk, &session.folder.join(ACK_FOLDER).join(format!("{receiver}{ACK_ENDING}")), b"")
+}
+
+/// Replaces a receiver's acknowledgements of a session. The caller has verified each of them at the receiver.
+///
+/// # Errors
+/// Fails if the name is no receiver's, or the file cannot be written.
+pub fn acknowledge(session: &Session, receiver: &str, all: &[Acknowledgement]) -> Result<(), RecordingError> {
+    let folder = session.folder.join(ACK_FOLDER);
+    let path = folder.join(format!("{receiver}{ACK_ENDING}"));
+    if !is_receiver(receiver) {
+        return Err(RecordingError::io(&path, io::Error::from(io::ErrorKind::InvalidFilename)));
+    }
+    let failed = |source| RecordingError::io(&folder, source);
+    match fs::symlink_metadata(&folder) {
+        Ok(metadata) if metadata.is_dir() => {}
+        // A link could lead anywhere.
+        Ok(_) => return Err(failed(io::Error::from(io::ErrorKind::NotADirectory))),
+        Err(_) => fs::create_dir(&folder).map_err(failed)?,
+    }
+    let text: String = all.iter().map(Acknowledgement::to_line).collect();
+    write_atomically(&Disk, &path, text.as_bytes())
 }
 
 /// Receivers that have this segment.

@@ -68,8 +68,8 @@ mod writer;
 use std::path::Path;
 
 pub use acknowledgement::{
-    ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER, is_receiver, receiver_of,
-    receivers_of, silence,
+    ACK_ENDING, ACK_FOLDER, Acknowledged, Acknowledgement, RECEIVER_FILE, SYNC_FOLDER, acknowledge, is_receiver,
+    receiver_of, receivers_of, silence,
 };
 pub use coverage::{COVERAGE_FILE, read_coverage, write_coverage};
 pub use deletion_rules::{Releasable, releasable};

@@ -33,8 +33,8 @@ use step::{Step, TagSettings};
 /// killed goes on if it is started again, and the same call on many machines, each with a shard of its own, does the whole folder. The
 /// recordings are only read.
 ///
-/// tag: tags.mcap, all tags made anew. refine: refined/, to be copied into the capture. labels: what `realitysim labels` writes. check: segments
-/// against the hashes in their manifest, and how many tags are valid. docs/howto/league.md has job files for Slurm and Kubernetes.
+/// tag: tags.mcap, all tags made anew. refine: refined/, to be copied into the capture. labels: what `realitysim labels` writes. depth: images/, a
+/// database of the session alone with the walls of its hall. check: segments against the hashes in their manifest, and how many tags are valid. docs/howto/league.md has job files for Slurm and Kubernetes.
 ///
 /// Exit code 1 if a session failed, which is named, and the others are done; 3 if all are done, but data was lost.
 #[derive(Args)]
@@ -42,9 +42,10 @@ use step::{Step, TagSettings};
     "Examples:",
     "\n  realitysim job captures/ --step refine -o results/",
     "\n  realitysim job captures/ --step labels --format yolo --shard 3/16 -o results/",
+    "\n  realitysim job catalogue/ --step check -o results/",
 ))]
 pub struct JobArguments {
-    /// Folder with captures
+    /// Folder with captures, or a catalogue of them
     captures: PathBuf,
     /// What is done with each session
     #[arg(long)]
@@ -73,6 +74,7 @@ enum StepName {
     Tag,
     Refine,
     Labels,
+    Depth,
     Check,
 }
 
@@ -94,15 +96,18 @@ fn step(arguments: &JobArguments) -> anyhow::Result<Step> {
     let JobArguments { step, config, format, .. } = arguments;
     let refused = |what: &str| Err(UsageError(what.to_owned()).into());
     match (step, config, format) {
-        (StepName::Refine | StepName::Labels | StepName::Check, Some(_), _) => {
+        (StepName::Refine | StepName::Labels | StepName::Depth | StepName::Check, Some(_), _) => {
             refused("--config is for --step tag: the other steps go by the settings of each session")
         }
-        (StepName::Tag | StepName::Refine | StepName::Check, _, Some(_)) => refused("--format is for --step labels"),
+        (StepName::Tag | StepName::Refine | StepName::Depth | StepName::Check, _, Some(_)) => {
+            refused("--format is for --step labels")
+        }
         (StepName::Tag, config, _) => {
             Ok(Step::Tag(config.as_deref().map(TagSettings::load).transpose()?.map(Box::new)))
         }
         (StepName::Refine, ..) => Ok(Step::Refine),
         (StepName::Labels, _, format) => Ok(Step::Labels(format.unwrap_or(Format::Coco))),
+        (StepName::Depth, ..) => Ok(Step::Depth),
         (StepName::Check, ..) => Ok(Step::Check),
     }
 }
@@ -110,9 +115,12 @@ fn step(arguments: &JobArguments) -> anyhow::Result<Step> {
 /// The number of all sessions in a folder, and those of a shard by name. Only chosen ones count.
 fn sessions(captures: &Path, shard: Shard, chosen: &Chosen) -> anyhow::Result<(usize, Vec<PathBuf>)> {
     let mut sessions = sessions_of(&Disk, captures);
+    if sessions.is_empty() {
+        sessions = captures_of_catalogue(captures)?;
+    }
     ensure!(
         !sessions.is_empty(),
-        "{}: holds no capture: name the folder that `realitysim record`, `replay` or `sync` writes captures into",
+        "{}: holds no capture: name the folder that `realitysim record`, `replay` or `sync` writes captures into, or a catalogue of them",
         captures.display()
     );
     chosen.keep(&mut sessions, |session| Some(session_at(session).ok()?.id));
@@ -120,6 +128,15 @@ fn sessions(captures: &Path, shard: Shard, chosen: &Chosen) -> anyhow::Result<(u
     sessions.retain(|session| shard.has(&session_name(session)));
     sessions.sort();
     Ok((all, sessions))
+}
+
+/// The captures that a catalogue in a folder has rows of; none if there is no catalogue.
+fn captures_of_catalogue(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    #[cfg(feature = "catalogue")]
+    if crate::catalogue::is_catalogue(folder) {
+        return Ok(crate::catalogue::captures_in(folder)?);
+    }
+    Ok(Vec::new())
 }
 
 /// The name of a session's folder.

@@ -10,6 +10,7 @@ use super::super::input_files::{files_named_in, small_text};
 use super::super::labels::{Format, label_capture};
 use super::super::paths::temporary;
 use crate::config::{Settings, plain_file};
+use crate::database::{self, Added, Contents, TagLimits};
 use crate::localization::smoothing::Model;
 use crate::log_input::log::files_of;
 use crate::recording::storage::Disk;
@@ -17,6 +18,7 @@ use crate::recording::{Loss, read_info, read_tags, recorded_hash, source_hash, v
 use crate::ros2::messages::FrameTag;
 use crate::tagging::offline_refinement::refine;
 use crate::tagging::{ReplayOptions, ReplayReport, replay, write_tag_log};
+use crate::views::Hall;
 
 /// What is done with each session.
 pub(super) enum Step {
@@ -24,6 +26,7 @@ pub(super) enum Step {
     Tag(Option<Box<TagSettings>>),
     Refine,
     Labels(Format),
+    Depth,
     Check,
 }
 
@@ -44,6 +47,7 @@ impl Step {
             Self::Tag(_) => "tag",
             Self::Refine => "refine",
             Self::Labels(_) => "labels",
+            Self::Depth => "depth",
             Self::Check => "check",
         }
     }
@@ -54,6 +58,7 @@ impl Step {
             Self::Tag(_) => "tagging",
             Self::Refine => "refining",
             Self::Labels(_) => "labelling",
+            Self::Depth => "finding the depth",
             Self::Check => "checking",
         }
     }
@@ -65,6 +70,7 @@ impl Step {
             Self::Labels(format) => {
                 json!({"format": format.to_possible_value().map(|value| value.get_name().to_owned())})
             }
+            Self::Depth => json!({"max_sigma_m": TagLimits::default().sigma_m}),
             Self::Refine | Self::Check => json!({}),
         })
     }
@@ -73,7 +79,7 @@ impl Step {
     pub(super) fn inputs(&self, capture: &Path) -> anyhow::Result<String> {
         Ok(match self {
             Self::Tag(_) | Self::Refine => recorded_hash(capture)?,
-            Self::Labels(_) => source_hash(capture)?,
+            Self::Labels(_) | Self::Depth => source_hash(capture)?,
             // Damage is what a check looks for, and damage may leave names and sizes as they are.
             Self::Check => hash_of_bytes(capture)?,
         })
@@ -85,6 +91,7 @@ impl Step {
             Self::Tag(settings) => tag(tag_settings(settings.as_deref(), capture)?, capture, folder, progress),
             Self::Refine => refine_session(capture, folder, progress),
             Self::Labels(format) => label(capture, folder, *format, progress),
+            Self::Depth => find_depth(capture, folder, progress),
             Self::Check => check(capture),
         }
     }
@@ -210,6 +217,20 @@ fn label(capture: &Path, folder: &Path, format: Format, progress: Progress) -> a
         false => loss,
     });
     Ok(Findings { summary, losses: losses.collect() })
+}
+
+/// Folder of the database that a session gets.
+const DATABASE_FOLDER: &str = "images";
+
+/// Makes a database of a session alone: with the walls of its hall, by which views have depth, and with what moves in its images.
+fn find_depth(capture: &Path, folder: &Path, progress: Progress) -> anyhow::Result<Findings> {
+    let database = folder.join(DATABASE_FOLDER);
+    let added = database::add(&database, &[capture.to_owned()], None, TagLimits::default(), progress)?;
+    let halls: Vec<Hall> = Contents::read(&database)?.sources.into_iter().map(|source| source.hall).collect();
+    let Added { images, left_out, ambiguous, imprecise, .. } = added;
+    let summary =
+        json!({"images": images, "left_out": left_out, "ambiguous": ambiguous, "imprecise": imprecise, "halls": halls});
+    Ok(Findings { summary, losses: added.losses })
 }
 
 fn check(capture: &Path) -> anyhow::Result<Findings> {

@@ -237,14 +237,6 @@ pub enum LensError {
         /// The refused value, pixels.
         value: f64,
     },
-    /// A parameter is NaN or infinite.
-    #[error("{name} is {value}: it must be a finite number")]
-    NotFinite {
-        /// Name of the parameter, such as `cx` or `k1`.
-        name: &'static str,
-        /// The refused value.
-        value: f64,
-    },
     /// A coefficient is outside the range of its model.
     #[error("{name} is {value}: it must be {expected}")]
     Coefficient {
@@ -282,6 +274,10 @@ pub const MAX_SIDE: u32 = 16_384;
 pub const FOCAL_PX: core::ops::RangeInclusive<f64> = 0.1..=1e7;
 /// Distance of the principal point from the image's first pixel along each axis, pixels, that no lens exceeds.
 pub const MAX_CENTRE_OFFSET_PX: f64 = 1e7;
+/// Largest magnitude of a coefficient of a distortion or of a lens's polynomial.
+///
+/// Calibrations have up to some hundreds. Beyond 1e6 the polynomials and their derivatives could leave the range of numbers.
+pub const MAX_COEFFICIENT: f64 = 1e6;
 /// Largest number of pixels of an image.
 ///
 /// No camera on a robot has more. Decoded, so many pixels take some hundred megabytes.
@@ -411,6 +407,19 @@ impl Lens {
 fn farthest_corner(p: &LensParameters) -> f64 {
     let side = |centre: f64, size: u32| centre.abs().max((f64::from(size) - 1.0 - centre).abs());
     libm::hypot(side(p.cx, p.width) / p.fx, side(p.cy, p.height) / p.fy)
+}
+
+/// Checks the coefficients of a polynomial against [`MAX_COEFFICIENT`].
+fn check_coefficients<'a>(coefficients: impl IntoIterator<Item = (&'static str, &'a f64)>) -> Result<(), LensError> {
+    let range = -MAX_COEFFICIENT..=MAX_COEFFICIENT;
+    match coefficients.into_iter().find(|(_, value)| !range.contains(*value)) {
+        Some((name, value)) => Err(LensError::Coefficient {
+            name,
+            value: *value,
+            expected: "within -1e6 and 1e6, as every calibration is",
+        }),
+        None => Ok(()),
+    }
 }
 
 /// Half of a stated field of view in radians, checked against the largest of the model, `max_deg`.

@@ -10,7 +10,7 @@
 
 use glam::{DVec2, DVec3};
 
-use super::{LensError, half_fov};
+use super::{LensError, check_coefficients, half_fov};
 use crate::monotonic::find_root;
 use crate::polynomial;
 
@@ -188,13 +188,11 @@ fn invert(wanted: f64, end: f64, function: impl Fn(f64) -> [f64; 2]) -> f64 {
 }
 
 impl Distortion {
-    /// Takes up to 12 coefficients in OpenCV's order, which must be finite.
+    /// Takes up to 12 coefficients in OpenCV's order, each within [`super::MAX_COEFFICIENT`].
     fn new(d: &[f64]) -> Result<Self, LensError> {
+        check_coefficients(NAMES.into_iter().zip(d))?;
         let mut all = [0.0; NAMES.len()];
-        for ((name, value), place) in NAMES.into_iter().zip(d).zip(&mut all) {
-            if !value.is_finite() {
-                return Err(LensError::NotFinite { name, value: *value });
-            }
+        for (place, value) in all.iter_mut().zip(d) {
             *place = *value;
         }
         let [k1, k2, p1, p2, k3, k4, k5, k6, prism @ ..] = all;

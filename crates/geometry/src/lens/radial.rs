@@ -4,7 +4,7 @@ use core::f64::consts::PI;
 
 use glam::{DVec2, DVec3};
 
-use super::{LensError, half_fov};
+use super::{LensError, check_coefficients, half_fov};
 use crate::monotonic::find_root;
 use crate::polynomial;
 
@@ -45,8 +45,6 @@ enum Profile {
 
 /// Largest magnitude of xi. At 1 the spheres touch, and all of the half space behind falls on one ray.
 const MAX_XI: f64 = 1.0 - 1e-6;
-/// Largest magnitude of Scaramuzza's coefficients; calibrations have some tenths.
-const MAX_SCARAMUZZA: f64 = 1e6;
 /// Largest magnitude of a skew. Calibrations have some thousandths.
 const MAX_SKEW: f64 = 0.1;
 /// Range of beta. Calibrations have 0.1 to 10; sums of a smaller or larger one lose digits.
@@ -57,11 +55,7 @@ impl Radial {
     ///
     /// `reach` is the distance of the image's farthest corner from the principal point, in focal lengths.
     pub(super) fn kannala_brandt(k: [f64; 4], reach: f64, fov_deg: Option<f64>) -> Result<Self, LensError> {
-        for (name, value) in ["k1", "k2", "k3", "k4"].into_iter().zip(k) {
-            if !value.is_finite() {
-                return Err(LensError::NotFinite { name, value });
-            }
-        }
+        check_coefficients(["k1", "k2", "k3", "k4"].into_iter().zip(&k))?;
         let stated = half_fov(fov_deg, 360.0)?;
         let limit = stated.unwrap_or(PI);
         // d r / d theta as a polynomial in theta^2.
@@ -114,9 +108,7 @@ impl Radial {
 
     /// Makes a lens of Scaramuzza's polynomial c2 to c6; `reach` as in [`Self::kannala_brandt`].
     pub(super) fn scaramuzza(c: [f64; 5], skew: f64, reach: f64, fov_deg: Option<f64>) -> Result<Self, LensError> {
-        for (name, value) in ["c2", "c3", "c4", "c5", "c6"].into_iter().zip(c) {
-            check(name, value, -MAX_SCARAMUZZA..=MAX_SCARAMUZZA, "within -1e6 and 1e6, as every calibration is")?;
-        }
+        check_coefficients(["c2", "c3", "c4", "c5", "c6"].into_iter().zip(&c))?;
         check("skew", skew, -MAX_SKEW..=MAX_SKEW, "within -0.1 and 0.1")?;
         let stated = half_fov(fov_deg, 360.0)?;
         // With g = 1 + c2 r^2 + ..., d theta / d r has the sign of g - r g'.

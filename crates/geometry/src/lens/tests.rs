@@ -133,6 +133,16 @@ fn impossible_parameters_are_named() {
     assert!(with(|p| p.fy = f64::NAN).contains("fy is NaN"));
     assert!(with(|p| p.cx = 1e300).contains("cx is 1e300"));
     assert!(with(|p| p.cy = f64::NAN).contains("cy is NaN"));
+    for wild in [1e308, -1e7, f64::NAN] {
+        for model in [
+            LensModel::KannalaBrandt { k: [-0.012, wild, -0.0008, 0.0] },
+            LensModel::PlumbBob { d: [0.0, wild, 0.0, 0.0, 0.0] },
+            LensModel::Scaramuzza { c: [0.0, wild, 0.0, 0.0, 0.0], skew: 0.0 },
+        ] {
+            let told = Lens::new(parameters(model)).expect_err("a picture's rim would lie at infinity").to_string();
+            assert!(told.contains("within -1e6 and 1e6"), "{told}");
+        }
+    }
     assert!(with(|p| p.width = 0).contains("image size 0"));
     assert!(with(|p| p.fov_deg = Some(-3.0)).contains("field of view -3"));
 }
