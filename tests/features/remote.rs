@@ -140,7 +140,9 @@ fn a_capture_in_a_store_is_read_by_the_same_commands() {
         info
     };
     assert_eq!(info(&there)["topics"], info(&here)["topics"]);
-    let valid = |capture: &str| bucket.run(&format!("eval {capture} --json")).succeeds().json()["valid"].clone();
+    let valid = |capture: &str| {
+        bucket.run(&format!("eval {capture} --truth log.mcap --json")).succeeds().json()["valid"].clone()
+    };
     assert_eq!(valid(&there), valid(&here));
     bucket.run(&format!("log info {STORE}/nothing")).fails(1, &["s3://league/captures/nothing: is not there"]);
     bucket

@@ -6,6 +6,7 @@ use std::future::Future;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use futures_util::TryStreamExt;
 use object_store::path::Path as ObjectPath;
@@ -42,6 +43,10 @@ const REQUEST_BYTES: u64 = 8 << 20;
 const MAX_LISTED: usize = 1_000_000;
 /// What the names of the environment's variables begin with that are settings of a store.
 const PREFIXES: [&str; 3] = ["AWS_", "AZURE_", "GOOGLE_"];
+/// Pauses before an operation is done again that failed quickly: the library repeats refused requests, not answers that break off.
+const PAUSES: [Duration; 3] = [Duration::from_millis(200), Duration::from_secs(1), Duration::from_secs(3)];
+/// A failure that took less time was not one that the library had repeated.
+const QUICK: Duration = Duration::from_secs(5);
 /// Requests of one upload at a time.
 const MAX_UPLOADS: usize = 4;
 
@@ -73,8 +78,11 @@ impl ObjectStores {
     /// [`RemoteError`] if the object is not there, has fewer bytes, or the store fails.
     pub fn read_range(&self, address: &Address, range: Range<u64>) -> Result<Vec<u8>, RemoteError> {
         let wanted = range.end.saturating_sub(range.start);
-        let bytes =
-            self.with(address, |store, path| async move { store.get_range(&path, range).await.map(Vec::from) })?;
+        let get = |store: Arc<dyn ObjectStore>, path: ObjectPath| {
+            let range = range.clone();
+            async move { store.get_range(&path, range).await.map(Vec::from) }
+        };
+        let bytes = self.with(address, get)?;
         match bytes.len() as u64 == wanted {
             true => Ok(bytes),
             false => Err(content(address, format!("{} bytes came of {wanted} that were asked for", bytes.len()))),
@@ -125,8 +133,7 @@ impl ObjectStores {
     ///
     /// [`RemoteError`] if the store fails, cannot list, or lists more than a million objects.
     pub fn list(&self, folder: &Address) -> Result<Vec<ObjectInfo>, RemoteError> {
-        let (store, prefix) = self.store(folder)?;
-        let listed = async {
+        let listed = |store: Arc<dyn ObjectStore>, prefix: ObjectPath| async move {
             let mut stream = store.list(Some(&prefix));
             let mut found = Vec::new();
             while let Some(meta) = stream.try_next().await? {
@@ -139,8 +146,7 @@ impl ObjectStores {
             }
             Ok(found)
         };
-        let mut found: Vec<ObjectInfo> =
-            self.runtime.block_on(listed).map_err(|error| RemoteError::of(folder.as_str(), &error))?;
+        let mut found: Vec<ObjectInfo> = self.with(folder, listed)?;
         if found.len() > MAX_LISTED {
             return Err(content(folder, format!("holds more than {MAX_LISTED} objects: name a folder in it")));
         }
@@ -154,8 +160,12 @@ impl ObjectStores {
     ///
     /// [`RemoteError`] if the store fails.
     pub fn write(&self, address: &Address, content: Vec<u8>) -> Result<(), RemoteError> {
-        self.with(address, |store, path| async move { store.put(&path, PutPayload::from(content)).await })?;
-        Ok(())
+        let content = PutPayload::from(content);
+        let put = |store: Arc<dyn ObjectStore>, path: ObjectPath| {
+            let content = content.clone();
+            async move { store.put(&path, content).await }
+        };
+        self.with(address, put).map(drop)
     }
 
     /// Uploads a file, of which `sent` gets the number of bytes that are on their way.
@@ -210,14 +220,26 @@ impl ObjectStores {
         }
     }
 
-    /// Does something with the object at an address.
+    /// Does something with the object at an address, and does it again if an answer breaks off.
     fn with<T, F: Future<Output = object_store::Result<T>>>(
         &self,
         address: &Address,
-        operation: impl FnOnce(Arc<dyn ObjectStore>, ObjectPath) -> F,
+        operation: impl Fn(Arc<dyn ObjectStore>, ObjectPath) -> F,
     ) -> Result<T, RemoteError> {
         let (store, path) = self.store(address)?;
-        self.runtime.block_on(operation(store, path)).map_err(|error| RemoteError::of(address.as_str(), &error))
+        let attempt = || {
+            let done = self.runtime.block_on(operation(Arc::clone(&store), path.clone()));
+            done.map_err(|error| RemoteError::of(address.as_str(), &error))
+        };
+        for pause in PAUSES {
+            let began = Instant::now();
+            match attempt() {
+                // What took long was tried again by the library, or is as slow the next time.
+                Err(RemoteError::Store { .. }) if began.elapsed() < QUICK => std::thread::sleep(pause),
+                done => return done,
+            }
+        }
+        attempt()
     }
 
     /// The store of an address, and the path in it.

@@ -35,6 +35,7 @@ pub fn with_local_copies(arguments: Vec<OsString>) -> anyhow::Result<Vec<OsStrin
             replaced.push(argument.clone());
             continue;
         };
+        Address::parse(address).map_err(|error| UsageError(error.to_string()))?;
         let is_written =
             before.is_some_and(|option| OUTPUTS.contains(&option) && (option != "--db" || changes_database));
         if is_written {
