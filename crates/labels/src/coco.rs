@@ -76,9 +76,10 @@ impl CocoImage {
     pub fn new(labeller: &Labeller, image: &PosedImage, classes: &[Class], id: usize, file: &str) -> Self {
         let [width, height] = [image.camera.width(), image.camera.height()];
         let mut own = Self::empty(image, id, file);
+        let regions = Regions::of(classes, [width, height]);
         let known = Class::KNOWN.iter().map(|class| (*class as usize + 1, *class));
         for (category, class) in known.chain([(IGNORE, Class::Ignore)]) {
-            if let Some(region) = region(classes, [width, height], class) {
+            if let Some(region) = regions.region(class) {
                 own.annotate(category, region, json!({"iscrowd": u8::from(class == Class::Ignore)}));
             }
         }
@@ -126,29 +127,57 @@ impl CocoImage {
     }
 }
 
-/// Area, box and run lengths of a class; `None` if no pixel has it. Runs go down the columns, beginning with other classes.
-fn region(classes: &[Class], [width, height]: [usize; 2], class: Class) -> Option<Value> {
-    let (mut counts, mut run, mut inside, mut area) = (Vec::new(), 0u32, false, 0u32);
-    let (mut low, mut high) = ([width, height], [0, 0]);
-    for u in 0..width {
-        for v in 0..height {
-            let is_class = classes[v * width + u] == class;
-            if is_class != inside {
-                counts.push(run);
-                (run, inside) = (0, is_class);
-            }
-            run += 1;
-            if is_class {
-                area += 1;
-                low = [low[0].min(u), low[1].min(v)];
-                high = [high[0].max(u + 1), high[1].max(v + 1)];
+/// The pixels of each class as runs that go down the columns, one column after another.
+struct Regions {
+    size: [usize; 2],
+    /// For each class by its number: first pixel and end of each run, in the order of the columns.
+    runs: Vec<Vec<[usize; 2]>>,
+}
+
+impl Regions {
+    fn of(classes: &[Class], [width, height]: [usize; 2]) -> Self {
+        let mut runs = vec![Vec::new(); 1 + usize::from(u8::MAX)];
+        let (mut first, mut last) = (0, None);
+        for u in 0..width {
+            for v in 0..height {
+                let (class, at) = (classes[v * width + u], u * height + v);
+                if last != Some(class) {
+                    if let Some(last) = last {
+                        runs[last as usize].push([first, at]);
+                    }
+                    (first, last) = (at, Some(class));
+                }
             }
         }
+        if let Some(last) = last {
+            runs[last as usize].push([first, width * height]);
+        }
+        Self { size: [width, height], runs }
     }
-    counts.push(run);
-    let place = || [low[0], low[1], high[0] - low[0], high[1] - low[1]];
-    (area > 0)
-        .then(|| json!({"area": area, "bbox": place(), "segmentation": {"size": [height, width], "counts": counts}}))
+
+    /// Area, box and run lengths of a class; `None` if no pixel has it. The first run length is that of other classes.
+    fn region(&self, class: Class) -> Option<Value> {
+        let [width, height] = self.size;
+        let runs = &self.runs[class as usize];
+        let (mut counts, mut end, mut area) = (Vec::with_capacity(2 * runs.len() + 1), 0, 0);
+        let (mut low, mut high) = ([width, height], [0, 0]);
+        for [from, to] in runs {
+            counts.extend([from - end, to - from]);
+            (end, area) = (*to, area + to - from);
+            let (columns, rows) = ([from / height, (to - 1) / height], [from % height, (to - 1) % height]);
+            // A run over the end of a column reaches from the image's bottom to its top.
+            let rows = if columns[0] == columns[1] { rows } else { [0, height - 1] };
+            low = [low[0].min(columns[0]), low[1].min(rows[0])];
+            high = [high[0].max(columns[1] + 1), high[1].max(rows[1] + 1)];
+        }
+        if end < width * height {
+            counts.push(width * height - end);
+        }
+        let place = || [low[0], low[1], high[0] - low[0], high[1] - low[1]];
+        (area > 0).then(
+            || json!({"area": area, "bbox": place(), "segmentation": {"size": [height, width], "counts": counts}}),
+        )
+    }
 }
 
 fn of_box(from: DVec2, to: DVec2) -> Value {

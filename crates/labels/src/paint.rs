@@ -8,7 +8,7 @@ use realitysim_geometry::field::Stroke;
 /// The paint of a field, in cells of the carpet so that few strokes are looked at for a point.
 #[derive(Clone, Debug)]
 pub(crate) struct Paint {
-    strokes: Vec<Stroke>,
+    strokes: Vec<Painted>,
     half_width: f64,
     /// Half extents of the carpet, metres.
     half: DVec2,
@@ -16,6 +16,15 @@ pub(crate) struct Paint {
     rows: usize,
     /// For each cell, row by row: the strokes that a point of it may be near.
     cells: Vec<Vec<u16>>,
+}
+
+/// A stroke, prepared for the many points that ask for its edge.
+#[derive(Clone, Debug)]
+enum Painted {
+    /// Its middle, the unit vector along it, and half of its length in metres.
+    Segment { middle: DVec2, along: DVec2, half_length: f64 },
+    /// A curved stroke.
+    Curve(Stroke),
 }
 
 /// An edge of paint near a point.
@@ -45,6 +54,7 @@ impl Paint {
             strokes.map(|(which, _)| which as u16).collect()
         };
         let cells = (0..columns * rows).map(near).collect();
+        let strokes = strokes.iter().map(Painted::of).collect();
         Self { strokes, half_width, half, columns, rows, cells }
     }
 
@@ -54,29 +64,60 @@ impl Paint {
             return nearest(self.strokes.iter(), self.half_width, point, reach_m);
         }
         let cell = (point + self.half) / CELL_M;
-        let column = (libm::floor(cell.x).max(0.0) as usize).min(self.columns - 1);
-        let row = (libm::floor(cell.y).max(0.0) as usize).min(self.rows - 1);
+        let column = (cell.x.max(0.0) as usize).min(self.columns - 1);
+        let row = (cell.y.max(0.0) as usize).min(self.rows - 1);
         let near = self.cells[row * self.columns + column].iter();
         nearest(near.map(|which| &self.strokes[usize::from(*which)]), self.half_width, point, reach_m)
     }
 }
 
 /// The nearest edge of some strokes, if it is within `reach_m`.
-fn nearest<'a>(strokes: impl Iterator<Item = &'a Stroke>, half_width: f64, point: DVec2, reach_m: f64) -> Option<Edge> {
-    let edges = strokes.map(|stroke| edge(stroke, half_width, point));
+fn nearest<'a>(
+    strokes: impl Iterator<Item = &'a Painted>,
+    half_width: f64,
+    point: DVec2,
+    reach_m: f64,
+) -> Option<Edge> {
+    let edges = strokes.filter(|stroke| stroke.may_reach(half_width + reach_m, point));
+    let edges = edges.map(|stroke| edge(stroke, half_width, point));
     edges.min_by(|a, b| a.distance.total_cmp(&b.distance)).filter(|edge| edge.distance <= reach_m)
 }
 
+impl Painted {
+    fn of(stroke: &Stroke) -> Self {
+        match *stroke {
+            Stroke::Segment { from, to } => {
+                let along = (to - from).normalize_or(DVec2::X);
+                Self::Segment { middle: (from + to) / 2.0, along, half_length: from.distance(to) / 2.0 }
+            }
+            curve => Self::Curve(curve),
+        }
+    }
+
+    /// Whether a point may be this near to the centre line: false only if it surely is not.
+    fn may_reach(&self, distance: f64, point: DVec2) -> bool {
+        match *self {
+            Self::Segment { middle, along, half_length } => {
+                let off = point - middle;
+                off.dot(along.perp()).abs() <= distance && off.dot(along).abs() <= half_length + distance
+            }
+            Self::Curve(Stroke::Circle { centre, radius } | Stroke::Quarter { centre, radius, .. }) => {
+                (point - centre).abs().max_element() <= radius + distance
+            }
+            Self::Curve(Stroke::Segment { .. }) => true,
+        }
+    }
+}
+
 /// The edge of one stroke.
-fn edge(stroke: &Stroke, half_width: f64, point: DVec2) -> Edge {
-    match *stroke {
-        Stroke::Segment { from, to } => {
-            let along = (to - from).normalize_or(DVec2::X);
-            let off = point - (from + to) / 2.0;
+fn edge(stroke: &Painted, half_width: f64, point: DVec2) -> Edge {
+    let curve = match *stroke {
+        Painted::Segment { middle, along, half_length } => {
+            let off = point - middle;
             let [x, y] = [off.dot(along), off.dot(along.perp())];
-            let [beyond, beside] = [x.abs() - from.distance(to) / 2.0, y.abs() - half_width];
+            let [beyond, beside] = [x.abs() - half_length, y.abs() - half_width];
             let [ends, sides] = [along * x.signum(), along.perp() * y.signum()];
-            match (beyond > 0.0, beside > 0.0) {
+            return match (beyond > 0.0, beside > 0.0) {
                 (true, true) => {
                     let out = DVec2::new(beyond, beside);
                     let distance = out.length();
@@ -84,8 +125,12 @@ fn edge(stroke: &Stroke, half_width: f64, point: DVec2) -> Edge {
                 }
                 _ if beyond > beside => Edge { distance: beyond, normal: ends },
                 _ => Edge { distance: beside, normal: sides },
-            }
+            };
         }
+        Painted::Curve(curve) => curve,
+    };
+    match curve {
+        Stroke::Segment { .. } => edge(&Painted::of(&curve), half_width, point),
         Stroke::Circle { centre, radius } => ring(point - centre, radius, half_width),
         Stroke::Quarter { centre, radius, side } => {
             let off = point - centre;
