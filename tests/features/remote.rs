@@ -112,8 +112,12 @@ fn what_a_store_acknowledges_was_read_back_from_it() {
     assert!(get >= count, "{get} of {count} segments read back");
     let report = bucket.upload().succeeds().json();
     assert_eq!([&report["uploaded"], &report["already"]], [0, count]);
-    // What the store loses is not acknowledged any more, and uploaded anew.
+    // What somebody else overwrites is noticed, though its size is the same.
     let key = format!("captures/{}/0000.mcap", bucket.session());
+    bucket.ask(&format!("change {key}"));
+    assert_eq!(bucket.upload().succeeds().json()["uploaded"], 1);
+    bucket.run(&format!("log info {STORE}/{}", bucket.session())).succeeds();
+    // What the store loses is not acknowledged any more, and uploaded anew.
     bucket.ask(&format!("remove {key}"));
     let report = bucket.upload().succeeds().json();
     assert_eq!(report["uploaded"], 1);
@@ -140,6 +144,12 @@ fn a_capture_in_a_store_is_read_by_the_same_commands() {
         info
     };
     assert_eq!(info(&there)["topics"], info(&here)["topics"]);
+    // Both are one copy.
+    bucket.run(&format!("eval {there} --truth {there}")).fails(1, &["no message on /ground_truth/camera_pose"]);
+    for call in ["sessions prune --captures", "sessions pin", "refine"] {
+        bucket.run(&format!("{call} {there}")).fails(2, &["folder or file of this machine"]);
+    }
+    bucket.run(&format!("log cut {here} --from 0 --to 1 --output={STORE}/cut.mcap")).fails(2, &["sync --to"]);
     let valid = |capture: &str| {
         bucket.run(&format!("eval {capture} --truth log.mcap --json")).succeeds().json()["valid"].clone()
     };
@@ -149,6 +159,28 @@ fn a_capture_in_a_store_is_read_by_the_same_commands() {
         .run(&format!("export {here} --to images -o {STORE}/out"))
         .fails(2, &["sync --to", "folder or file of this machine"]);
     bucket.run("log info s3://").fails(2, &["names no bucket"]);
+}
+
+#[test]
+fn each_session_has_a_folder_of_its_own_whatever_its_name() {
+    let Some(mut bucket) = Bucket::new() else { return };
+    let odd = ["a#1", "b?x=1", "%2e%2e", "c%20d", "ein Gang"];
+    for name in odd {
+        let to = bucket.room.path(CAPTURES).join(name);
+        fs::create_dir(&to).unwrap();
+        for file in ["session.json", "manifest.jsonl", "0000.mcap"] {
+            fs::copy(bucket.replayed.session.join(file), to.join(file)).unwrap();
+        }
+    }
+    bucket.upload().succeeds();
+    let keys = bucket.ask("keys");
+    let keys: Vec<&str> = keys.as_array().unwrap().iter().map(|key| key.as_str().unwrap()).collect();
+    for name in odd {
+        assert!(keys.contains(&format!("captures/{name}/0000.mcap").as_str()), "{name}: {keys:?}");
+    }
+    assert!(keys.iter().all(|key| key.starts_with("captures/") && key.split('/').count() == 3), "{keys:?}");
+    bucket.run(&format!("sync {CAPTURES} nobody --to {STORE}")).fails(2, &["no session that was asked for"]);
+    bucket.run(&format!("sync {CAPTURES} --to file:///tmp")).fails(2, &["folder of this machine", "sync SOURCE -o"]);
 }
 
 #[test]

@@ -84,7 +84,7 @@ fn a_place_that_was_told_outlives_a_session_that_nothing_happened_in() {
 }
 
 /// In slow motion: with longer pauses.
-fn slower(messages: &[LogMessage], times: i64) -> Vec<LogMessage> {
+pub fn slower(messages: &[LogMessage], times: i64) -> Vec<LogMessage> {
     let first_ns = messages[0].log_time_ns;
     let later = |message: &LogMessage| LogMessage {
         log_time_ns: first_ns + times * (message.log_time_ns - first_ns),

@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
+use super::no_frames::slower;
 use super::recorder::{PATIENCE, Recorder};
 use super::robot::Robot;
-use crate::replay::support::{Room, walk};
+use crate::replay::support::{INITIAL, Room, walk};
 use crate::service::client::{get, post};
 use crate::sync::site::Site;
 
@@ -103,6 +104,32 @@ fn a_watched_robot_shows_its_frames_with_lines_and_takes_orders() {
     assert_eq!(watch.order("stop").1["state"], "stopped");
     assert!(recorder.ends().status.success());
     watch.waits_for("it is away", |state| state["connected"] == false);
+}
+
+/// Pictures of the page for a person: on a desk, on a phone, in the dark.
+#[test]
+#[ignore = "writes target/live-*.png, by a Chromium"]
+fn pictures_of_the_page_of_a_watched_robot() {
+    let messages = walk().messages.iter().filter(|message| message.channel.topic != INITIAL);
+    let robot = Robot::of(&slower(&messages.cloned().collect::<Vec<_>>(), 8));
+    let mut recorder = Recorder::start(Some(robot.tty()));
+    let watch = Watch::of(&recorder.room.path(""), &["control.sock"]);
+    let camera = recorder.room.path("camera.sock");
+    let walking = std::thread::spawn(move || robot.walk(&camera));
+    watch.waits_for("some frames", |state| state["frame"]["tag"]["sequence"].as_u64() > Some(8));
+    for (name, size, dark) in [("desk", "1280,1100", false), ("phone", "400,1600", false), ("dark", "1280,1100", true)]
+    {
+        let profile = tempfile::tempdir().expect("a folder");
+        let mut browser = Command::new("chromium");
+        browser.args(["--headless=new", "--no-sandbox", "--disable-gpu", "--timeout=4000", "--hide-scrollbars"]);
+        browser.args(dark.then_some("--force-dark-mode"));
+        browser.arg(format!("--user-data-dir={}", profile.path().display())).arg(format!("--window-size={size}"));
+        browser.arg(format!("--screenshot={}/target/live-{name}.png", env!("CARGO_MANIFEST_DIR")));
+        browser.stderr(std::process::Stdio::null());
+        assert!(browser.arg(format!("http://{}/#live", watch.address())).status().expect("Chromium").success());
+    }
+    walking.join().expect("walked");
+    assert!(recorder.ends().status.success());
 }
 
 #[test]

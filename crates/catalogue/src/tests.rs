@@ -198,6 +198,24 @@ fn a_million_rows() {
     }
 }
 
+/// A catalogue of made-up sessions of eleven minutes by twenty robots on a hundred days, for `tests/replay/time_queries.py`.
+#[test]
+#[ignore = "writes the catalogue of docs/howto/catalogue.md, whose command stands there"]
+fn a_league() {
+    let variable = |name: &str| std::env::var(name).unwrap_or_else(|_| panic!("{name} is not set"));
+    let folder = PathBuf::from(variable("REALITYSIM_LEAGUE"));
+    let sessions = variable("REALITYSIM_LEAGUE_ROWS").parse::<usize>().unwrap() / SESSION_ROWS;
+    let began = Instant::now();
+    for session in 0..sessions {
+        let day = session / 20 % 100;
+        let date = format!("date=2026-{:02}-{:02}", 3 + day / 25, 1 + day % 25);
+        let inner = folder.join("field=kid-2020").join(date).join(format!("robot=robot-{}", session % 20));
+        fs::create_dir_all(&inner).unwrap();
+        written(&inner, &format!("{session}.parquet"), &walk(session, SESSION_ROWS));
+    }
+    println!("{sessions} sessions made up and written in {:.0} s", began.elapsed().as_secs_f64());
+}
+
 /// Share of row groups that queries for ranges of poses read, on average over places all over the field.
 fn mean_share(files: &[PathBuf], side: f64, turn: f64) -> f64 {
     let mut random = Random::new(7);

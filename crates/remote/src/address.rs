@@ -2,6 +2,7 @@
 
 use core::fmt;
 
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use url::Url;
 
 use super::error::RemoteError;
@@ -14,6 +15,9 @@ pub struct Address {
 
 /// What the addresses begin with. `file` is a folder of this machine, by which stores are tried out.
 const SCHEMES: [&str; 10] = ["s3", "s3a", "gs", "az", "adl", "abfs", "abfss", "https", "http", "file"];
+
+/// Characters of a name that stand for themselves in an address.
+const ESCAPED: AsciiSet = NON_ALPHANUMERIC.remove(b'-').remove(b'_').remove(b'.').remove(b'~').remove(b'/');
 
 impl Address {
     /// Whether a text is meant as an address: it begins with one of the schemes and `://`.
@@ -43,10 +47,15 @@ impl Address {
         Ok(Self { text: text.trim_end_matches('/').to_owned() })
     }
 
-    /// The address of something within this folder.
+    /// The address of something within this folder. `name` is a name as files have it, or several with slashes between them.
     #[must_use]
     pub fn join(&self, name: &str) -> Self {
-        Self { text: format!("{}/{name}", self.text) }
+        Self { text: format!("{}/{}", self.text, utf8_percent_encode(name, &ESCAPED)) }
+    }
+
+    /// Whether it names a folder or file of this machine.
+    pub fn is_of_this_machine(&self) -> bool {
+        self.text.starts_with("file:")
     }
 
     /// The address as text.

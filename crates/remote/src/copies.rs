@@ -1,10 +1,11 @@
 //! Whole copies of captures, databases and files on this machine.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};
 use std::io::Write;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Component, Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
 
 use realitysim_recording::{MANIFEST_FILE, ManifestLine};
@@ -20,8 +21,8 @@ use super::object_stores::{ObjectInfo, ObjectStores, content};
 pub struct Copies {
     folder: PathBuf,
     max_bytes: u64,
-    /// Locks of the copies that this program uses, held until it ends.
-    used: Mutex<Vec<File>>,
+    /// The copies that this program uses by their addresses, with their locks, which are held until it ends.
+    used: Mutex<HashMap<Address, (PathBuf, File)>>,
 }
 
 impl Copies {
@@ -52,7 +53,7 @@ impl Copies {
         if total <= self.max_bytes {
             return Ok(());
         }
-        let (needed, most) = (total >> 20, self.max_bytes >> 20);
+        let (needed, most) = (total.div_ceil(1 << 20), self.max_bytes >> 20);
         let full = format!("{needed} MB would lie here, and at most {most} MB may: set REALITYSIM_CACHE_MB to more");
         Err(io(&self.folder)(std::io::Error::new(std::io::ErrorKind::StorageFull, full)))
     }
@@ -60,6 +61,12 @@ impl Copies {
 
 /// File in a copy's folder that programs lock while they use the copy.
 const LOCK: &str = "lock";
+/// Folder in a copy's folder with what was copied.
+const CONTENT: &str = "content";
+/// File in a copy's folder that is being written.
+const COMING: &str = "coming";
+/// Most times that a copy is looked at anew because it changed.
+const MAX_TRIES: usize = 3;
 /// File in a copy's folder that says what its files are copies of.
 const STATE: &str = "copied.json";
 /// Largest state, bytes: a million names.
@@ -93,18 +100,65 @@ pub fn copy_of(
     address: &Address,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<PathBuf, RemoteError> {
+    let mut used = copies.used.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((root, _)) = used.get(address) {
+        return Ok(root.clone());
+    }
     let folder = copies.folder.join(&blake3::hash(address.as_str().as_bytes()).to_hex()[..16]);
-    fs::create_dir_all(&folder).map_err(io(&folder))?;
-    let lock_path = folder.join(LOCK);
-    let lock = File::options().write(true).create(true).truncate(true).open(&lock_path).map_err(io(&lock_path))?;
-    lock.lock().map_err(io(&lock_path))?;
-    let _ = lock.set_modified(SystemTime::now());
-    let root = folder.join(plain_name(address)?);
-    update(stores, copies, address, &folder, &root, progress)?;
-    // From here on other programs may use the copy as well, and none removes it.
-    lock.unlock().and_then(|()| lock.lock_shared()).map_err(io(&lock_path))?;
-    copies.used.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(lock);
-    Ok(root)
+    let root = folder.join(CONTENT).join(plain_name(address)?);
+    let there = objects_at(stores, address)?;
+    for _ in 0..MAX_TRIES {
+        fs::create_dir_all(&folder).map_err(io(&folder))?;
+        let lock_path = folder.join(LOCK);
+        let lock = File::options().write(true).create(true).truncate(false).open(&lock_path).map_err(io(&lock_path))?;
+        // As long as it is shared, no program changes the copy or removes it.
+        lock.lock_shared().map_err(io(&lock_path))?;
+        if is_current(&folder, &root, &there) && is_locked_at(&lock, &lock_path) {
+            let _ = lock.set_modified(SystemTime::now());
+            used.insert(address.clone(), (root.clone(), lock));
+            return Ok(root);
+        }
+        lock.unlock().map_err(io(&lock_path))?;
+        if lock.try_lock().is_err() {
+            let busy = "another program uses the copy of what lay here before: try again once it has ended";
+            return Err(content(address, busy.to_owned()));
+        }
+        update(stores, copies, address, &there, &folder, &root, progress)?;
+        lock.unlock().map_err(io(&lock_path))?;
+    }
+    Err(content(address, "it changes faster than it can be copied, or another program removes the copy".to_owned()))
+}
+
+/// Whether a lock is that of the file at its path: another program may have removed the copy, and a new one may be in its place.
+fn is_locked_at(lock: &File, path: &Path) -> bool {
+    let [ours, there] =
+        [lock.metadata(), fs::metadata(path)].map(|metadata| metadata.map(|file| (file.dev(), file.ino())));
+    matches!((ours, there), (Ok(ours), Ok(there)) if ours == there)
+}
+
+/// Whether all objects are in a copy as they are there.
+fn is_current(folder: &Path, root: &Path, there: &[ObjectInfo]) -> bool {
+    let state = CopyState::read(folder);
+    state.files.len() == there.len() && there.iter().all(|object| state.has(root, object))
+}
+
+impl CopyState {
+    /// The state of the copy in a folder; empty if there is none.
+    fn read(folder: &Path) -> Self {
+        let known = realitysim_config::plain_file::read(&folder.join(STATE), MAX_STATE_BYTES).unwrap_or_default();
+        serde_json::from_slice(&known).unwrap_or_default()
+    }
+
+    /// Whether an object is here as it is there.
+    fn has(&self, root: &Path, object: &ObjectInfo) -> bool {
+        let known = self.files.get(&object.name);
+        known.is_some_and(|known| known.bytes == object.bytes && known.tag == object.tag)
+            && fs::metadata(path_in(root, &object.name)).is_ok_and(|here| here.len() == object.bytes)
+    }
+
+    fn note(&mut self, object: &ObjectInfo) {
+        self.files.insert(object.name.clone(), CopiedFile { bytes: object.bytes, tag: object.tag.clone() });
+    }
 }
 
 /// Brings a copy up to date.
@@ -112,21 +166,14 @@ fn update(
     stores: &ObjectStores,
     copies: &Copies,
     address: &Address,
+    there: &[ObjectInfo],
     folder: &Path,
     root: &Path,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<(), RemoteError> {
-    let there = objects_at(stores, address)?;
     let state_path = folder.join(STATE);
-    let known = realitysim_config::plain_file::read(&state_path, MAX_STATE_BYTES).unwrap_or_default();
-    let old: CopyState = serde_json::from_slice(&known).unwrap_or_default();
-    let is_here = |object: &ObjectInfo| {
-        let path = path_in(root, &object.name);
-        let known = old.files.get(&object.name);
-        known.is_some_and(|known| known.bytes == object.bytes && known.tag == object.tag)
-            && fs::metadata(path).is_ok_and(|here| here.len() == object.bytes)
-    };
-    let missing: Vec<&ObjectInfo> = there.iter().filter(|object| !is_here(object)).collect();
+    let old = CopyState::read(folder);
+    let missing: Vec<&ObjectInfo> = there.iter().filter(|object| !old.has(root, object)).collect();
     let total: u64 = missing.iter().map(|object| object.bytes).sum();
     copies.make_room(total)?;
     // Files that are not there any more belong to no capture.
@@ -134,10 +181,8 @@ fn update(
         let _ = fs::remove_file(path_in(root, name));
     }
     let mut state = CopyState::default();
-    let note = |state: &mut CopyState, object: &ObjectInfo| {
-        state.files.insert(object.name.clone(), CopiedFile { bytes: object.bytes, tag: object.tag.clone() });
-    };
-    there.iter().filter(|object| is_here(object)).for_each(|object| note(&mut state, object));
+    there.iter().filter(|object| old.has(root, object)).for_each(|object| state.note(object));
+    let coming = folder.join(COMING);
     let mut hashes = BTreeMap::new();
     let mut done = 0;
     // The manifests come first, since the segments are compared with them.
@@ -151,7 +196,7 @@ fn update(
             fs::create_dir_all(parent).map_err(io(parent))?;
             hashes.entry(parent.to_owned()).or_insert_with(|| hashes_of(parent));
         }
-        let hash = fetch(stores, &from, object.bytes, &path, &mut |bytes| {
+        let hash = fetch(stores, &from, object.bytes, [&coming, &path], &mut |bytes| {
             done += bytes;
             progress(done, total);
         })?;
@@ -165,7 +210,7 @@ fn update(
             let _ = fs::remove_file(&path);
             return Err(content(&from, "is not as its manifest says that it was recorded".to_owned()));
         }
-        note(&mut state, object);
+        state.note(object);
         let text = serde_json::to_vec(&state).unwrap_or_default();
         fs::write(&state_path, text).map_err(io(&state_path))?;
     }
@@ -176,8 +221,7 @@ fn update(
 fn objects_at(stores: &ObjectStores, address: &Address) -> Result<Vec<ObjectInfo>, RemoteError> {
     match stores.info(address) {
         Ok(object) => return Ok(vec![object]),
-        // Not all stores tell a folder from nothing by the same error.
-        Err(RemoteError::Absent { .. } | RemoteError::Store { .. }) => {}
+        Err(RemoteError::Absent { .. }) => {}
         Err(error) => return Err(error),
     }
     let listed = stores.list(address)?;
@@ -190,25 +234,22 @@ fn objects_at(stores: &ObjectStores, address: &Address) -> Result<Vec<ObjectInfo
     }
 }
 
-/// Reads an object into a file, which appears once it is whole. The result is its BLAKE3 hash.
+/// Reads an object into a file beside, which gets its path once it is whole. The result is its BLAKE3 hash.
 fn fetch(
     stores: &ObjectStores,
     from: &Address,
     bytes: u64,
-    path: &Path,
+    [beside, path]: [&Path; 2],
     came: &mut dyn FnMut(u64),
 ) -> Result<String, RemoteError> {
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(".coming");
-    let beside = PathBuf::from(beside);
-    let mut file = File::create(&beside).map_err(io(&beside))?;
+    let mut file = File::create(beside).map_err(io(beside))?;
     let mut hash = blake3::Hasher::new();
     stores.read_pieces(from, bytes, &mut |piece| {
         hash.update(piece);
         came(piece.len() as u64);
-        file.write_all(piece).map_err(io(&beside))
+        file.write_all(piece).map_err(io(beside))
     })?;
-    fs::rename(&beside, path).map_err(io(path))?;
+    fs::rename(beside, path).map_err(io(path))?;
     Ok(hash.finalize().to_hex().to_string())
 }
 

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use futures_util::TryStreamExt;
 use object_store::path::Path as ObjectPath;
-use object_store::{ObjectStore, ObjectStoreExt, PutPayload, WriteMultipart};
+use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutPayload, WriteMultipart};
 use realitysim_config::plain_file;
 use tokio::runtime::{Builder, Runtime};
 
@@ -33,7 +33,7 @@ pub struct ObjectInfo {
     pub name: String,
     /// Size, bytes.
     pub bytes: u64,
-    /// What changes with the content; empty if the store does not say.
+    /// What changes with the content: the tag of the store, or the time of the last change if it has none.
     pub tag: String,
 }
 
@@ -68,7 +68,7 @@ impl ObjectStores {
     /// [`RemoteError`] if the object is not there or the store fails.
     pub fn info(&self, address: &Address) -> Result<ObjectInfo, RemoteError> {
         let meta = self.with(address, |store, path| async move { store.head(&path).await })?;
-        Ok(ObjectInfo { name: String::new(), bytes: meta.size, tag: meta.e_tag.unwrap_or_default() })
+        Ok(ObjectInfo { name: String::new(), bytes: meta.size, tag: tag_of(meta) })
     }
 
     /// Reads a part of an object with one request.
@@ -139,7 +139,10 @@ impl ObjectStores {
             while let Some(meta) = stream.try_next().await? {
                 let name = meta.location.as_ref().strip_prefix(prefix.as_ref()).unwrap_or_default();
                 let name = name.trim_start_matches('/').to_owned();
-                found.push(ObjectInfo { name, bytes: meta.size, tag: meta.e_tag.unwrap_or_default() });
+                // Some programs mark a folder by an empty object of its name.
+                if !name.is_empty() {
+                    found.push(ObjectInfo { name, bytes: meta.size, tag: tag_of(meta) });
+                }
                 if found.len() > MAX_LISTED {
                     break;
                 }
@@ -166,6 +169,24 @@ impl ObjectStores {
             async move { store.put(&path, content).await }
         };
         self.with(address, put).map(drop)
+    }
+
+    /// Writes a small object if there is none at the address; `false` if there is one. Stores that cannot do so in one step overwrite it.
+    ///
+    /// # Errors
+    ///
+    /// [`RemoteError`] if the store fails.
+    pub fn create(&self, address: &Address, content: Vec<u8>) -> Result<bool, RemoteError> {
+        let (store, path) = self.store(address)?;
+        let only_new = PutMode::Create.into();
+        match self.runtime.block_on(store.put_opts(&path, PutPayload::from(content.clone()), only_new)) {
+            Ok(_) => Ok(true),
+            Err(object_store::Error::AlreadyExists { .. }) => Ok(false),
+            Err(object_store::Error::NotImplemented { .. } | object_store::Error::NotSupported { .. }) => {
+                self.write(address, content).map(|()| true)
+            }
+            Err(error) => Err(RemoteError::of(address.as_str(), &error)),
+        }
     }
 
     /// Uploads a file, of which `sent` gets the number of bytes that are on their way.
@@ -264,6 +285,11 @@ impl ObjectStores {
         open.insert(bucket, Arc::clone(&store));
         Ok((store, path))
     }
+}
+
+/// What changes with the content of an object.
+fn tag_of(meta: ObjectMeta) -> String {
+    meta.e_tag.unwrap_or_else(|| meta.last_modified.to_rfc3339())
 }
 
 /// An object is not what it should be.

@@ -1,14 +1,14 @@
 //! Copies captures to an object store.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use realitysim_recording::sessions::sessions_in;
 use realitysim_recording::sync::{Selection, is_as_recorded};
 use realitysim_recording::{
-    Acknowledgement, COVERAGE_FILE, Head, Loss, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, Session,
-    acknowledge,
+    Acknowledgement, COVERAGE_FILE, Head, Loss, MANIFEST_FILE, METADATA_FILE, ManifestLine, SESSION_FILE, SYNC_FOLDER,
+    Session, acknowledge,
 };
 use serde::Serialize;
 
@@ -68,7 +68,13 @@ pub fn upload(
     stop: &AtomicBool,
     tell: &mut dyn FnMut(UploadEvent),
 ) -> Result<UploadReport, RemoteError> {
+    if to.is_of_this_machine() {
+        let what = "it names a folder of this machine, into which `sync SOURCE -o FOLDER` copies".to_owned();
+        return Err(RemoteError::Address { address: to.to_string(), what });
+    }
     let receiver = receiver_name(to);
+    let tags_path = captures.join(SYNC_FOLDER).join(format!("{receiver}.tags.json"));
+    let mut tags = read_tags(&tags_path);
     let mut report = UploadReport { to: to.to_string(), receiver, ..UploadReport::default() };
     let (sessions, _) = sessions_in(captures).map_err(io(captures))?;
     for session in sessions.iter().filter(|session| selection.takes_session(&session.name)) {
@@ -77,10 +83,30 @@ pub fn upload(
         }
         tell(UploadEvent::Session(&session.name));
         report.sessions += 1;
-        upload_session(&mut Upload { stores, stop, tell, report: &mut report }, session, to, selection)?;
+        let mut upload = Upload { stores, stop, tell, report: &mut report, tags: &mut tags };
+        let done = upload_session(&mut upload, session, to, selection);
+        write_tags(&tags_path, &tags)?;
+        done?;
     }
     report.stopped = stop.load(Ordering::Relaxed);
     Ok(report)
+}
+
+/// Tags of the objects that were read back, by the session's identity and the segment's name.
+type Tags = BTreeMap<String, String>;
+
+/// Reads the tags that an earlier upload has left. What is missing there is read back anew.
+fn read_tags(path: &Path) -> Tags {
+    let bytes = realitysim_config::plain_file::read(path, MAX_SMALL_BYTES).unwrap_or_default();
+    serde_json::from_slice(&bytes).unwrap_or_default()
+}
+
+fn write_tags(path: &Path, tags: &Tags) -> Result<(), RemoteError> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(io(folder))?;
+    }
+    let text = serde_json::to_vec(tags).map_err(realitysim_recording::RecordingError::from)?;
+    Ok(realitysim_recording::write_atomically(path, &text)?)
 }
 
 /// The name that a folder of an object store has in acknowledgements: its bucket, and a number made from its address.
@@ -96,6 +122,7 @@ struct Upload<'a> {
     stop: &'a AtomicBool,
     tell: &'a mut dyn FnMut(UploadEvent),
     report: &'a mut UploadReport,
+    tags: &'a mut Tags,
 }
 
 fn upload_session(
@@ -127,9 +154,9 @@ fn upload_session(
             }
         }
     }
-    let is_known = |line: &&ManifestLine| there.contains(&line.name);
+    let is_known = |line: &&ManifestLine| there.contains(line);
     if !verified.iter().all(is_known) {
-        put_manifest(upload.stores, session, &to, &there, &verified)?;
+        put_manifest(upload.stores, &to, &there, &verified)?;
     }
     // A failure tells nothing of the segments behind it.
     let lost = |ack: &&Acknowledgement| failed.is_none() && verified.iter().all(|line| !ack.is_of(line));
@@ -161,15 +188,17 @@ impl Upload<'_> {
         is_wanted: bool,
     ) -> Result<bool, RemoteError> {
         let to = folder.join(&line.name);
-        let is_there = match self.stores.info(&to) {
-            Ok(object) => object.bytes == line.bytes,
-            Err(error) if error.is_absent() => false,
-            Err(error) => return Err(error),
-        };
-        if is_there && (was_there || self.is_read_back(&to, line)?) {
-            self.report.already += 1;
-            return Ok(true);
+        let key = format!("{}/{}", session.id.as_str(), line.name);
+        if let Some(tag) = self.tag_of_size(&to, line)? {
+            // The same tag stands for the same content, which was read back before.
+            let is_known = was_there && self.tags.get(&key) == Some(&tag);
+            if is_known || self.is_read_back(&to, line)? {
+                self.tags.insert(key, tag);
+                self.report.already += 1;
+                return Ok(true);
+            }
         }
+        self.tags.remove(&key);
         if !is_wanted {
             return Ok(false);
         }
@@ -179,12 +208,24 @@ impl Upload<'_> {
             return Ok(false);
         }
         self.stores.upload(&here, &to, &mut |sent| (self.tell)(UploadEvent::Sent(sent, line.bytes)))?;
+        let other = || content(&to, "the store gives back other bytes than it was sent".to_owned());
+        let tag = self.tag_of_size(&to, line)?.ok_or_else(other)?;
         if !self.is_read_back(&to, line)? {
-            return Err(content(&to, "the store gives back other bytes than it was sent".to_owned()));
+            return Err(other());
         }
+        self.tags.insert(key, tag);
         self.report.uploaded += 1;
         self.report.uploaded_bytes += line.bytes;
         Ok(true)
+    }
+
+    /// The tag of a segment in the store; `None` if it is not there, or has another size.
+    fn tag_of_size(&self, address: &Address, line: &ManifestLine) -> Result<Option<String>, RemoteError> {
+        match self.stores.info(address) {
+            Ok(object) => Ok((object.bytes == line.bytes).then_some(object.tag)),
+            Err(error) if error.is_absent() => Ok(None),
+            Err(error) => Err(error),
+        }
     }
 
     /// Reads a segment back and compares its hash.
@@ -199,50 +240,49 @@ impl Upload<'_> {
 }
 
 /// The folder of a session in the store: its name, and its identity behind it if another session has the name. Its `session.json` is
-/// written if it is not there.
+/// written if it is not there, in one step, so that of two uploads at once one gets the name.
 fn folder_of(stores: &ObjectStores, session: &Session, captures: &Address) -> Result<Address, RemoteError> {
     for name in [session.name.clone(), format!("{}-{}", session.name, session.id.as_str())] {
         let folder = captures.join(&name);
         let head = folder.join(SESSION_FILE);
-        match stores.read(&head, MAX_SMALL_BYTES) {
-            Ok(bytes) if Head::parse(&bytes).is_ok_and(|there| there.id(&bytes) == session.id) => return Ok(folder),
-            Ok(_) => {}
+        let there = match stores.read(&head, MAX_SMALL_BYTES) {
             Err(error) if error.is_absent() => {
-                stores.write(&head, session.head_bytes.clone())?;
-                return Ok(folder);
+                if stores.create(&head, session.head_bytes.clone())? {
+                    return Ok(folder);
+                }
+                stores.read(&head, MAX_SMALL_BYTES)?
             }
-            Err(error) => return Err(error),
+            there => there?,
+        };
+        if Head::parse(&there).is_ok_and(|head| head.id(&there) == session.id) {
+            return Ok(folder);
         }
     }
     Err(content(captures, format!("holds two other sessions of the name {}", session.name)))
 }
 
-/// The segments that the manifest in the store names.
-fn manifest_at(stores: &ObjectStores, folder: &Address) -> Result<BTreeSet<String>, RemoteError> {
+/// The lines of the manifest in the store.
+fn manifest_at(stores: &ObjectStores, folder: &Address) -> Result<Vec<ManifestLine>, RemoteError> {
     match stores.read(&folder.join(MANIFEST_FILE), MAX_SMALL_BYTES) {
         Ok(bytes) => {
-            let text = String::from_utf8_lossy(&bytes).into_owned();
-            Ok(text
-                .lines()
-                .filter_map(|line| serde_json::from_str::<ManifestLine>(line).ok())
-                .map(|line| line.name)
-                .collect())
+            Ok(String::from_utf8_lossy(&bytes).lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
         }
-        Err(error) if error.is_absent() => Ok(BTreeSet::new()),
+        Err(error) if error.is_absent() => Ok(Vec::new()),
         Err(error) => Err(error),
     }
 }
 
-/// Writes the manifest of what the store has: the lines that it had, and those of new segments, in the order of the recording.
+/// Writes the manifest of what the store has: the lines that it had, and those of verified segments, by the segments' names, which are
+/// those of their order.
 fn put_manifest(
     stores: &ObjectStores,
-    session: &Session,
     to: &Address,
-    there: &BTreeSet<String>,
+    there: &[ManifestLine],
     verified: &[&ManifestLine],
 ) -> Result<(), RemoteError> {
+    let all = there.iter().chain(verified.iter().copied()).map(|line| (line.name.as_str(), line));
     let mut text = Vec::new();
-    for line in session.lines.iter().filter(|line| there.contains(&line.name) || verified.contains(line)) {
+    for line in all.collect::<BTreeMap<_, _>>().values() {
         serde_json::to_writer(&mut text, line).map_err(realitysim_recording::RecordingError::from)?;
         text.push(b'\n');
     }

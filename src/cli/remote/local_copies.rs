@@ -27,29 +27,50 @@ pub fn with_local_copies(arguments: Vec<OsString>) -> anyhow::Result<Vec<OsStrin
     let mut commands = words.iter().flatten().skip(1).filter(|word| !word.starts_with('-'));
     let command = [commands.next().copied(), commands.next().copied()];
     let changes_database = matches!(command, [Some("db"), Some("add" | "remove" | "rebuild")]);
+    let changes_captures = matches!(
+        command,
+        [Some("refine"), _] | [Some("sessions"), Some("pin" | "unpin" | "prune" | "repair")] | [Some("record"), _]
+    );
     let mut replaced = Vec::with_capacity(arguments.len());
     for (index, argument) in arguments.iter().enumerate() {
-        let before = index.checked_sub(1).and_then(|before| words[before]);
-        let address = words[index].filter(|word| Address::is_address(word));
-        let Some(address) = address else {
+        let Some((option, address)) = words[index].and_then(address_in) else {
             replaced.push(argument.clone());
             continue;
         };
+        let before = option.or_else(|| index.checked_sub(1).and_then(|before| words[before]));
         Address::parse(address).map_err(|error| UsageError(error.to_string()))?;
         let is_written =
             before.is_some_and(|option| OUTPUTS.contains(&option) && (option != "--db" || changes_database));
-        if is_written {
+        if is_written || changes_captures {
             let what = "is written to, and that must be a folder or file of this machine; `sync --to` uploads captures";
             return Err(UsageError(format!("{address}: {what}")).into());
         }
         let stays = before == Some("--to") || (changes_database && before != Some("--db"));
         replaced.push(match stays {
             true => argument.clone(),
-            false => files.copy(Path::new(address))?.into_os_string(),
+            false => {
+                let copy = files.copy(Path::new(address))?.into_os_string();
+                match option {
+                    None => copy,
+                    Some(option) => [OsString::from(option), OsString::from("="), copy].into_iter().collect(),
+                }
+            }
         });
     }
     set_remote_files(Box::new(files));
     Ok(replaced)
+}
+
+/// The option, if it is `--option=ADDRESS` or `-oADDRESS`, and the address of an argument.
+fn address_in(word: &str) -> Option<(Option<&str>, &str)> {
+    if Address::is_address(word) {
+        return Some((None, word));
+    }
+    let parts = match word.strip_prefix("-o") {
+        Some(address) if Address::is_address(address) => Some(("-o", address)),
+        _ => word.split_once('=').filter(|(option, _)| option.starts_with("--")),
+    };
+    parts.filter(|(_, address)| Address::is_address(address)).map(|(option, address)| (Some(option), address))
 }
 
 /// What this program reads from object stores. The stores are opened when the first address is met.

@@ -14,7 +14,8 @@ pub use upload::run as upload;
 #[cfg(not(feature = "remote"))]
 pub fn with_local_copies(arguments: Vec<std::ffi::OsString>) -> anyhow::Result<Vec<std::ffi::OsString>> {
     let schemes = ["s3://", "s3a://", "gs://", "az://", "abfs://", "abfss://", "https://"];
-    let is_address = |text: &&str| schemes.iter().any(|scheme| text.starts_with(scheme));
+    let is_address =
+        |text: &&str| schemes.iter().any(|scheme| text.starts_with(scheme) || text.contains(&format!("={scheme}")));
     match arguments.iter().filter_map(|argument| argument.to_str()).find(is_address) {
         None => Ok(arguments),
         Some(address) => {

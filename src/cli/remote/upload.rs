@@ -18,6 +18,11 @@ pub fn run(captures: &Path, to: &str, selection: &Selection, stop: &AtomicBool, 
         .into());
     }
     let to = Address::parse(to).map_err(|error| UsageError(error.to_string()))?;
+    if to.is_of_this_machine() {
+        return Err(
+            UsageError(format!("{to}: a folder of this machine: `sync SOURCE -o FOLDER` copies into it")).into()
+        );
+    }
     let mut progress = Transfer::new();
     let report =
         crate::remote::upload(&ObjectStores::new()?, captures, &to, selection, stop, &mut |event| match event {
@@ -26,6 +31,10 @@ pub fn run(captures: &Path, to: &str, selection: &Selection, stop: &AtomicBool, 
         });
     progress.finish();
     let report = report?;
+    if report.sessions == 0 && !report.stopped {
+        let what = "holds no session that was asked for: name a folder of captures, and beginnings of the names of sessions in it";
+        return Err(UsageError(format!("{}: {what}", captures.display())).into());
+    }
     report.losses.iter().for_each(|loss| output::say(&loss.to_string()));
     print(&report, json)?;
     Ok(match report.stopped {
