@@ -126,6 +126,9 @@ fn remote_socket(arguments: &LiveArguments) -> Result<RemoteSocket, UsageError> 
     Ok(RemoteSocket { host: source.host, socket: PathBuf::from(socket), ssh })
 }
 
+/// The status in words, without the map of coverage, which the page draws on the field.
 fn describe(status: &Status) -> Vec<String> {
-    status_text(status).lines().map(str::to_owned).collect()
+    let mut status = status.clone();
+    status.coverage.iter_mut().for_each(|coverage| coverage.map.clear());
+    status_text(&status).lines().map(str::to_owned).collect()
 }

@@ -35,8 +35,10 @@ pub fn status_text(status: &Status) -> String {
         lines.push(format!("{} thinned out, as recording.thinning asks", status.counts.thinned));
     }
     if let Some(coverage) = &status.coverage {
+        // Who draws the cells by other means leaves the map out.
+        let key = if coverage.map.is_empty() { "" } else { ": a digit says of how many, # of all, . of none" };
         lines.push(format!(
-            "images of {} of {} poses (cells of {} m, {} headings: a digit says of how many, # of all, . of none)",
+            "images of {} of {} poses (cells of {} m, {} headings{key})",
             coverage.filled, coverage.cells, coverage.cell_m, coverage.sectors
         ));
         lines.extend(coverage.map.iter().map(|row| format!("  {row}")));

@@ -59,9 +59,7 @@ async function take() {
   if (!state.connected) tell(`${state.robot} is away: ${state.why}`);
   else if (state.no_frame) tell(state.no_frame);
   else tell(state.age_s > 2 ? `the last picture is ${state.age_s.toFixed(0)} s old` : '');
-  // The map of coverage is drawn on the field instead of in letters.
-  const rows = new Set((state.status?.coverage?.map ?? []).map((row) => `  ${row}`));
-  const lines = (state.words ?? []).filter((words) => !rows.has(words));
+  const lines = state.words ?? [];
   if (at('live-words').dataset.text !== lines.join('\n')) {
     at('live-words').dataset.text = lines.join('\n');
     at('live-words').replaceChildren(...lines.map(item));
