@@ -325,8 +325,10 @@ mod tests {
                 }
                 for line in command_lines(&std::fs::read_to_string(&path).expect("a document")) {
                     count += 1;
-                    // An option of the feature `live`.
-                    if !cfg!(feature = "live") && line.contains(" --foxglove ") {
+                    // Options of the features `live` and `remote`.
+                    let is_live = line.contains(" --foxglove ");
+                    let is_remote = line.starts_with("realitysim sync ") && line.contains(" --to ");
+                    if (is_live && !cfg!(feature = "live")) || (is_remote && !cfg!(feature = "remote")) {
                         continue;
                     }
                     use clap::error::ErrorKind;

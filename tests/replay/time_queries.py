@@ -29,7 +29,7 @@ def asked(query):
     return time.perf_counter() - began, read_bytes() - before
 
 
-rows = duckdb.sql(f"select count(*) from '{folder}/**/*.parquet'").fetchone()[0]
+[(rows,)] = duckdb.sql(f"select count(*) from '{folder}/**/*.parquet'").fetchall()
 print(f"{rows} rows")
 for query in queries:
     seconds, megabytes = min(asked(query) for _ in range(2))

@@ -131,11 +131,17 @@ fn sessions(captures: &Path, shard: Shard, chosen: &Chosen) -> anyhow::Result<(u
 }
 
 /// The captures that a catalogue in a folder has rows of; none if there is no catalogue.
+#[cfg(feature = "catalogue")]
 fn captures_of_catalogue(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    #[cfg(feature = "catalogue")]
-    if crate::catalogue::is_catalogue(folder) {
-        return Ok(crate::catalogue::captures_in(folder)?);
+    if !crate::catalogue::is_catalogue(folder) {
+        return Ok(Vec::new());
     }
+    Ok(crate::catalogue::captures_in(folder)?)
+}
+
+/// Without the feature no catalogue can be read.
+#[cfg(not(feature = "catalogue"))]
+fn captures_of_catalogue(_folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     Ok(Vec::new())
 }
 
