@@ -35,7 +35,7 @@ pub fn status_text(status: &Status) -> String {
         lines.push(format!("{} thinned out, as recording.thinning asks", status.counts.thinned));
     }
     if let Some(coverage) = &status.coverage {
-        // Who draws the cells by other means leaves the map out.
+        // The letters are explained only where they are shown: the page draws the cells on the field.
         let key = if coverage.map.is_empty() { "" } else { ": a digit says of how many, # of all, . of none" };
         lines.push(format!(
             "images of {} of {} poses (cells of {} m, {} headings{key})",
